@@ -1,0 +1,172 @@
+"""The words of the house: what a domain looks like, what a trajectory holds, what a batch carries.
+
+Axes, here and everywhere: ``B`` batch, ``E`` episodes stepped together, ``T`` time, ``O`` state
+size of a domain, ``A`` action size of a domain, ``Z`` latent size, ``K`` tasks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from datamodules.errors import UserError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from torch import Tensor
+
+ArrayT = TypeVar("ArrayT", np.ndarray, "Tensor")
+
+
+class Observation(NamedTuple, Generic[ArrayT]):
+    """What a policy sees of one domain, raw: numpy arrays in simulators and files, tensors in training."""
+
+    state: ArrayT
+    """Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec."""
+    image: ArrayT | None = None
+    """Uint8 of shape ``(..., H, W, C)``, or None in a domain without a camera."""
+
+    def take(self, rows: Any) -> Observation[ArrayT]:
+        """The observation at ``rows`` (an index, a slice or an index array) of the first axis."""
+        image = None if self.image is None else self.image[rows]
+        return Observation(self.state[rows], image)
+
+
+@dataclass(frozen=True)
+class ObservationKey:
+    """One named part of an observation, such as the position of the end effector."""
+
+    name: str
+    """Name in the file, letters, digits, ``_``, ``.`` and ``-``."""
+    shape: tuple[int, ...]
+    """Shape of one sample: ``(3,)`` for a vector, ``(H, W, C)`` for an image."""
+    kind: Literal["state", "image"] = "state"
+    unit: str = ""
+    """Unit of the raw values: ``m``, ``rad``, ``m/s``, …"""
+
+
+@dataclass(frozen=True)
+class DomainSpec:
+    """A robot and its observation and action space; actions lie in [-1, 1]."""
+
+    name: str
+    observation: tuple[ObservationKey, ...]
+    action_size: int
+    control_hz: float
+    env: str = ""
+    """What simulates it, for the record: robot, simulator, version-independent settings."""
+
+    def __post_init__(self) -> None:
+        if not self.state_keys:
+            raise UserError(f"domain {self.name!r} has no state key; at least one is needed")
+
+    @property
+    def state_keys(self) -> tuple[ObservationKey, ...]:
+        """The keys that make up the state vector, in order."""
+        return tuple(key for key in self.observation if key.kind == "state")
+
+    @property
+    def image_key(self) -> ObservationKey | None:
+        """The camera, if the domain has one."""
+        return next((key for key in self.observation if key.kind == "image"), None)
+
+    @property
+    def state_size(self) -> int:
+        """O, the length of the state vector."""
+        return sum(key.shape[0] for key in self.state_keys)
+
+    def columns(self, names: Iterable[str]) -> list[int]:
+        """Columns of the state vector that hold the named keys, in the order of ``names``.
+
+        Raises:
+            UserError: If the domain has no state key of that name.
+        """
+        starts = np.cumsum([0] + [key.shape[0] for key in self.state_keys])
+        spans = {key.name: range(starts[i], starts[i + 1]) for i, key in enumerate(self.state_keys)}
+        columns: list[int] = []
+        for name in names:
+            if name not in spans:
+                raise UserError(f"domain {self.name!r} has no state key {name!r}; it has: {', '.join(spans)}")
+            columns.extend(spans[name])
+        return columns
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain lists, strings and numbers, for JSON and checkpoints."""
+        plain = asdict(self)
+        plain["observation"] = [{**asdict(key), "shape": list(key.shape)} for key in self.observation]
+        return plain
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> DomainSpec:
+        """Inverse of :meth:`to_dict`."""
+        keys = tuple(ObservationKey(k["name"], tuple(k["shape"]), k["kind"], k["unit"]) for k in plain["observation"])
+        return cls(plain["name"], keys, plain["action_size"], plain["control_hz"], plain["env"])
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One demonstration of a task in a domain."""
+
+    domain: str
+    task: str
+    observation: Observation[np.ndarray]
+    """State ``(T, O)``, image ``(T, H, W, C)``: what the expert saw before each action."""
+    actions: np.ndarray
+    """Float32 ``(T, A)`` in [-1, 1]."""
+    seed: int
+    """Seed of the initial state; the simulator and this number give the first observation again."""
+    success: bool
+
+    def __post_init__(self) -> None:
+        if len(self.observation.state) != len(self.actions) or len(self.actions) == 0:
+            raise UserError(
+                f"trajectory of task {self.task!r} in domain {self.domain!r} has {len(self.observation.state)} "
+                f"observations and {len(self.actions)} actions; expected the same number, at least one"
+            )
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+class Transitions(NamedTuple):
+    """Single steps of one domain, drawn from many trajectories."""
+
+    observation: Observation[Tensor]
+    """State ``(B, O)``, image ``(B, H, W, C)``."""
+    action: Tensor
+    """``(B, A)``."""
+    task: Tensor
+    """``(B,)`` int64, index into the experiment's task names."""
+    row: Tensor
+    """``(B,)`` int64, position of the step in its domain's table (see ``datamodules.table``)."""
+
+
+class Sequences(NamedTuple):
+    """Trajectories of one domain, thinned out, their frames laid end to end."""
+
+    observation: Observation[Tensor]
+    """State ``(F, O)``, image ``(F, H, W, C)``: the frames of all P trajectories."""
+    index: Tensor
+    """``(P, T)`` int64: which frame is step t of trajectory p; 0 where ``mask`` is False."""
+    mask: Tensor
+    """``(P, T)`` bool: False behind the end of a trajectory."""
+
+
+class AlignmentBatch(NamedTuple):
+    """One step's data of the alignment phase."""
+
+    transitions: dict[str, Transitions]
+    """By domain, the same number of steps each."""
+    pairs: dict[str, Sequences]
+    """Two domains; row p of both demonstrates the same task. Empty where no loss asks for pairs."""
+
+
+class Collector(Protocol):
+    """Makes demonstrations: how the DataModule asks for what a file lacks without knowing any simulator."""
+
+    def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+        """Add ``missing[domain][task]`` successful demonstrations to the file at ``path``, atomically."""

@@ -1,0 +1,86 @@
+"""The one interface between this project and a simulator: many episodes, stepped together."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from datamodules.types import DomainSpec, Observation
+
+
+class Step(NamedTuple):
+    """What one control step brought, a row for each episode that was stepped."""
+
+    observation: Observation[np.ndarray]
+    """State ``(n, O)`` float32, image ``(n, H, W, C)`` uint8."""
+    success: np.ndarray
+    """``(n,)`` bool: the task is solved in this state."""
+    invalid: np.ndarray
+    """``(n,)`` bool: the simulation diverged or the action was not finite; the episode is over."""
+
+
+class Simulator(ABC):
+    """A domain that can be stepped: E episodes at once, physics on all of its threads.
+
+    Construction is cheap and the object can be pickled until its first reset, which builds the model.
+    An episode is a pure function of its task, its seed and its actions: neither the number of episodes
+    stepped together nor their order changes it.
+    """
+
+    horizon: int
+    """Control steps after which an unsolved episode counts as failed."""
+    threads: int
+    """Threads that step physics; 0 means one for each core. May be set until the first reset."""
+
+    @property
+    @abstractmethod
+    def tasks(self) -> tuple[str, ...]:
+        """Names of all tasks that this simulator knows, in their canonical order."""
+
+    @abstractmethod
+    def proxies(self, target: str) -> tuple[str, ...]:
+        """Tasks that may align the domains when ``target`` is to be transferred (never ``target``)."""
+
+    @abstractmethod
+    def spec(self, name: str) -> DomainSpec:
+        """Observation and action space, under the name that the experiment gives this domain."""
+
+    @abstractmethod
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Begin E episodes, one for each (task, seed), and return their first observations ``(E, …)``."""
+
+    @abstractmethod
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        """Apply ``actions (n, A)`` for one control step to the ``episodes (n,)`` that still run.
+
+        Actions are clipped to [-1, 1]. Rows of the result are in the order of ``episodes``.
+        """
+
+
+class Expert(ABC):
+    """Who demonstrates: acts on many episodes of one simulator at once, from observations alone."""
+
+    @abstractmethod
+    def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
+        """Get ready for E episodes that were just reset with these tasks and seeds."""
+
+    @abstractmethod
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        """Actions ``(n, A)`` in [-1, 1] for the ``episodes (n,)`` whose observations are given."""
+
+
+@dataclass
+class Domain:
+    """One entry of an experiment's ``domains``: what simulates it, and who demonstrates in it.
+
+    Args:
+        simulator: The domain's simulator.
+        expert: Its demonstrator; None if demonstrations come from a file only.
+    """
+
+    simulator: Simulator
+    expert: Expert | None = None
