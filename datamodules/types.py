@@ -156,11 +156,11 @@ class Sequences(NamedTuple):
     """``(P, T)`` bool: False behind the end of a trajectory."""
 
 
-class AlignmentBatch(NamedTuple):
-    """One step's data of the alignment phase."""
+class Batch(NamedTuple):
+    """One training step's data."""
 
     transitions: dict[str, Transitions]
-    """By domain, the same number of steps each."""
+    """By domain; a domain without steps in this batch is left out."""
     pairs: dict[str, Sequences]
     """Two domains; row p of both demonstrates the same task. Empty where no loss asks for pairs."""
 

@@ -41,9 +41,13 @@ class Simulator(ABC):
     def tasks(self) -> tuple[str, ...]:
         """Names of all tasks that this simulator knows, in their canonical order."""
 
+    def target_tasks(self, target: str) -> tuple[str, ...]:
+        """Tasks that make up ``target``: itself, or for instance one goal from each start zone."""
+        return (target,)
+
     @abstractmethod
     def proxies(self, target: str) -> tuple[str, ...]:
-        """Tasks that may align the domains when ``target`` is to be transferred (never ``target``)."""
+        """Tasks that may align the domains when ``target`` is to be transferred (none of its own)."""
 
     @abstractmethod
     def spec(self, name: str) -> DomainSpec:

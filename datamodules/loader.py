@@ -1,0 +1,112 @@
+"""An iterable of batches with a cursor: it can be stopped after any batch and goes on with the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from datamodules.sampler import PairOrder
+from datamodules.sequences import thin_out
+from datamodules.table import Table
+from datamodules.types import Batch, Sequences
+
+
+class Order(Protocol):
+    """Which rows make up each step of an epoch."""
+
+    steps: int
+
+    def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
+        """Rows by domain for every step."""
+        ...
+
+
+class PairSource:
+    """Trajectory pairs of a step, thinned out.
+
+    Args:
+        tables: By domain.
+        order: Which pairs.
+        stride: One of so many frames is kept.
+    """
+
+    def __init__(self, tables: Mapping[str, Table], order: PairOrder, stride: int) -> None:
+        self.tables, self.order, self.stride = tables, order, stride
+
+    def __call__(self, epoch: int, step: int) -> dict[str, Sequences]:
+        """The two domains' sequences for one step."""
+        draw = self.order.step(epoch, step)
+        return {
+            domain: thin_out(self.tables[domain], draw.episodes[i], draw.phase[i], self.stride)
+            for i, domain in enumerate(draw.domains)
+        }
+
+
+class Loader:
+    """Gathers each step's batch from tables in memory.
+
+    The cursor always points at the next batch to yield, so ``state_dict`` taken while a batch is being
+    trained on says where to go on after it.
+
+    Args:
+        tables: By domain.
+        order: Rows of each step.
+        pairs: Trajectory pairs of a step; None if no loss asks for them.
+    """
+
+    def __init__(
+        self,
+        tables: Mapping[str, Table],
+        order: Order,
+        pairs: Callable[[int, int], dict[str, Sequences]] | None = None,
+    ) -> None:
+        self.tables, self.order, self.pairs = tables, order, pairs
+        self._next_epoch, self._next_step = 0, 0
+
+    def __len__(self) -> int:
+        """Steps in an epoch."""
+        return self.order.steps
+
+    def __iter__(self) -> Iterator[Batch]:
+        """The rest of the epoch that the cursor is in."""
+        epoch = self._next_epoch
+        rows = self.order.epoch(epoch)
+        for step in range(self._next_step, len(rows)):
+            last = step + 1 == len(rows)
+            self._next_epoch, self._next_step = (epoch + 1, 0) if last else (epoch, step + 1)
+            transitions = {d: self.tables[d].take(torch.from_numpy(r)) for d, r in rows[step].items()}
+            yield Batch(transitions, self.pairs(epoch, step) if self.pairs else {})
+
+    def state_dict(self) -> dict[str, int]:
+        """Epoch and step of the next batch."""
+        return {"epoch": self._next_epoch, "step": self._next_step}
+
+    def load_state_dict(self, state: Mapping[str, int]) -> None:
+        """Go on where ``state`` was taken."""
+        self._next_epoch, self._next_step = state["epoch"], state["step"]
+
+
+class FixedBatches:
+    """Held-out steps in order, a domain after the other; the same batches at every pass.
+
+    Args:
+        tables: By domain.
+        rows: Rows of each domain.
+        batch_size: Steps in a batch.
+    """
+
+    def __init__(self, tables: Mapping[str, Table], rows: Mapping[str, np.ndarray], batch_size: int) -> None:
+        self.tables = tables
+        self.chunks = [(d, r[i : i + batch_size]) for d, r in rows.items() for i in range(0, len(r), batch_size)]
+
+    def __len__(self) -> int:
+        """Number of batches."""
+        return len(self.chunks)
+
+    def __iter__(self) -> Iterator[Batch]:
+        """One domain's steps at a time."""
+        for domain, rows in self.chunks:
+            yield Batch({domain: self.tables[domain].take(torch.from_numpy(rows))}, {})

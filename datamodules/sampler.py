@@ -1,0 +1,127 @@
+"""The order of training data: every draw is a pure function of (seed, epoch), so any step can be found again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+ALIGNMENT, PAIRS, MIX = 1, 2, 3
+"""Streams of random numbers, so that no two uses of one (seed, epoch) see the same numbers."""
+
+
+def generator(*key: int) -> np.random.Generator:
+    """A random generator that depends on all of ``key`` and on nothing else."""
+    return np.random.default_rng(np.random.SeedSequence(key))
+
+
+def shuffled(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """``count`` of ``rows``, each once before any comes again."""
+    rounds = -(-count // len(rows))
+    return np.concatenate([rng.permutation(rows) for _ in range(rounds)])[:count]
+
+
+class AlignmentOrder:
+    """Steps of the alignment phase: equal shares of every domain, one pass over the largest a epoch.
+
+    Args:
+        rows: Rows to draw from, by domain.
+        batch_size: Steps in a batch, all domains together.
+        seed: Seed of the run.
+    """
+
+    def __init__(self, rows: Mapping[str, np.ndarray], batch_size: int, seed: int) -> None:
+        self.rows, self.seed = rows, seed
+        self.share = max(1, batch_size // len(rows))
+        self.steps = -(-max(len(r) for r in rows.values()) // self.share)
+
+    def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
+        """Rows ``(share,)`` by domain, for each step of the epoch."""
+        drawn = {
+            domain: shuffled(rows, self.steps * self.share, generator(ALIGNMENT, self.seed, epoch, i))
+            for i, (domain, rows) in enumerate(self.rows.items())
+        }
+        chunks = {domain: rows.reshape(self.steps, self.share) for domain, rows in drawn.items()}
+        return [{domain: rows[step] for domain, rows in chunks.items()} for step in range(self.steps)]
+
+
+class MixOrder:
+    """Steps of the adaptation phase: all of the target task's data, and alignment data anew each epoch.
+
+    Args:
+        target: Rows of the new task's demonstrations, by domain.
+        pool: Rows of the alignment data, by domain.
+        ratio: Alignment steps for each target step ("mix": the paper's 2× or 1×).
+        batch_size: Steps in a batch; the last batch of an epoch may be smaller.
+        seed: Seed of the run.
+    """
+
+    def __init__(
+        self,
+        target: Mapping[str, np.ndarray],
+        pool: Mapping[str, np.ndarray],
+        ratio: float,
+        batch_size: int,
+        seed: int,
+    ) -> None:
+        self.domains = list(dict.fromkeys([*target, *pool]))
+        self.target, self.pool = self._flat(target), self._flat(pool)
+        self.mixed = round(ratio * len(self.target)) if len(self.pool) else 0
+        self.batch_size, self.seed = batch_size, seed
+        self.steps = -(-(len(self.target) + self.mixed) // batch_size)
+
+    def _flat(self, rows: Mapping[str, np.ndarray]) -> np.ndarray:
+        """``(N, 2)``: domain index and row."""
+        parts = [np.stack([np.full_like(r, self.domains.index(d)), r], axis=1) for d, r in rows.items()]
+        return np.concatenate(parts) if parts else np.zeros((0, 2), dtype=np.int64)
+
+    def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
+        """Rows by domain, for each step of the epoch; a domain without rows is left out."""
+        rng = generator(MIX, self.seed, epoch)
+        chosen = shuffled(np.arange(len(self.pool)), self.mixed, rng) if self.mixed else np.zeros(0, dtype=np.int64)
+        drawn = rng.permutation(np.concatenate([self.target, self.pool[chosen]]))
+        return [self._by_domain(drawn[i : i + self.batch_size]) for i in range(0, len(drawn), self.batch_size)]
+
+    def _by_domain(self, drawn: np.ndarray) -> dict[str, np.ndarray]:
+        parts = {domain: drawn[drawn[:, 0] == i, 1] for i, domain in enumerate(self.domains)}
+        return {domain: rows for domain, rows in parts.items() if len(rows)}
+
+
+class PairDraw(NamedTuple):
+    """Trajectories to compare in one step: row p of both domains demonstrates the same task."""
+
+    domains: tuple[str, str]
+    episodes: np.ndarray
+    """``(2, P)``: trajectory ids in the first and the second domain."""
+    phase: np.ndarray
+    """``(2, P)`` in [0, 1): where in the first stride to begin, so that every frame gets its turn."""
+
+
+class PairOrder:
+    """Trajectory pairs for temporal cycle-consistency, a batch for each training step.
+
+    Args:
+        episodes: ``episodes[domain][task]`` are trajectory ids; tasks lacking in a domain are not drawn.
+        count: Pairs in a batch (P).
+        seed: Seed of the run.
+    """
+
+    def __init__(self, episodes: Mapping[str, Mapping[int, np.ndarray]], count: int, seed: int) -> None:
+        self.episodes, self.count, self.seed = episodes, count, seed
+        names = list(episodes)
+        self.domain_pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+
+    def step(self, epoch: int, step: int) -> PairDraw:
+        """The pairs of one step; with more than two domains the pairs of domains take turns."""
+        first, second = self.domain_pairs[step % len(self.domain_pairs)]
+        rng = generator(PAIRS, self.seed, epoch, step)
+        common = sorted(set(self.episodes[first]) & set(self.episodes[second]))
+        tasks = rng.choice(common, self.count)
+        drawn = np.stack([self._pick(domain, tasks, rng) for domain in (first, second)])
+        return PairDraw((first, second), drawn, rng.random((2, self.count)))
+
+    def _pick(self, domain: str, tasks: Sequence[int], rng: np.random.Generator) -> np.ndarray:
+        pools = [self.episodes[domain][task] for task in tasks]
+        spot = rng.random(len(pools))
+        return np.array([pool[int(u * len(pool))] for pool, u in zip(pools, spot, strict=True)])
