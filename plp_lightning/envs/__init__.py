@@ -1,0 +1,1 @@
+"""Simulators: many episodes behind one small interface."""

@@ -1,0 +1,145 @@
+"""The MuJoCo model of R2R-Lift: robosuite's Lift with a block on a pedestal, and where its parts are.
+
+Importing this module imports robosuite; :mod:`plp_lightning.envs.lift` does so at the first reset only.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+Robot = Literal["Sawyer", "UR5e"]
+
+BLOCK_HALF = 0.02
+"""Half the edge of the block, m. robosuite draws it anew for every model; both robots need the same."""
+PEDESTAL_HALF = (0.018, 0.018, 0.10)
+"""Half size of the pedestal, m: narrower than the block, so that the fingers clear it."""
+FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
+"""Sign with which each finger's actuator follows the gripper command."""
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let robosuite neither print nor leave the rendering backend it prefers in the environment."""
+    logger, backend = logging.getLogger("robosuite_logs"), os.environ.get("MUJOCO_GL")
+    disabled, logger.disabled = logger.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = disabled
+        os.environ.pop("MUJOCO_GL", None)
+        if backend is not None:
+            os.environ["MUJOCO_GL"] = backend
+
+
+with _quiet():
+    from robosuite.controllers import load_composite_controller_config
+    from robosuite.environments.manipulation.lift import Lift as RobosuiteLift
+
+
+class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robosuite is untyped
+    """robosuite's Lift with a block of one size that stands on a movable pedestal.
+
+    The pedestal is a mocap body: its height is state, not model, so one model serves all tasks. It sinks
+    into the table unhindered, since MuJoCo never collides two static bodies.
+    """
+
+    def _load_model(self) -> None:
+        super()._load_model()
+        pedestal = ET.SubElement(self.model.worldbody, "body", name="pedestal", mocap="true", pos="0 0 0.7")
+        size = " ".join(map(str, PEDESTAL_HALF))
+        friction = " ".join(map(str, self.table_friction))
+        ET.SubElement(pedestal, "geom", name="pedestal_g", type="box", size=size, friction=friction, group="1")
+        geoms = {geom.get("name"): geom for geom in self.model.root.iter("geom")}
+        for name in ("cube_g0", "cube_g0_vis"):
+            geoms[name].set("size", " ".join([str(BLOCK_HALF)] * 3))
+        # Sawyer's base is welded to the world, so nothing filters its contact with the first link, whose
+        # friction then freezes joint 0.
+        if "robot0_base_col" in geoms:
+            geoms["robot0_base_col"].attrib.update(contype="0", conaffinity="0")
+
+
+def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
+    """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer.
+
+    Args:
+        robot: Robot's name in robosuite.
+        joint_noise: Standard deviation of the initial joint angles, rad.
+    """
+    with _quiet():
+        controller = load_composite_controller_config(controller="BASIC", robot=robot)
+        arm = controller["body_parts"]["right"]
+        arm.update(type="OSC_POSITION", input_max=1, input_min=-1, output_max=[0.05] * 3, output_min=[-0.05] * 3)
+        return PedestalLift(
+            robots=robot,
+            controller_configs=controller,
+            initialization_noise={"type": "gaussian", "magnitude": joint_noise},
+            use_camera_obs=False,
+            has_offscreen_renderer=False,
+            renderer="mujoco",
+            hard_reset=False,
+            ignore_done=True,
+            control_freq=20,
+        )
+
+
+@dataclass(frozen=True)
+class LiftModel:
+    """A compiled model and the addresses of the parts that matter, all found by name."""
+
+    model: mujoco.MjModel
+    rest_pose: np.ndarray
+    """Arm joints ``(n,)`` in robosuite's initial pose, rad."""
+    open_fingers: np.ndarray
+    """Finger joints ``(g,)`` in robosuite's initial pose, m or rad."""
+    arm_qpos: np.ndarray
+    arm_dof: np.ndarray
+    arm_actuators: np.ndarray
+    finger_qpos: np.ndarray
+    finger_dof: np.ndarray
+    finger_actuators: np.ndarray
+    finger_signs: np.ndarray
+    site: int
+    """Site between the fingers: the end effector's position."""
+    hand: int
+    """Body whose orientation is observed."""
+    block_qpos: int
+    """Where the block's free joint starts in qpos."""
+    pedestal: int
+    """Row of the pedestal in mocap_pos."""
+
+    @classmethod
+    def build(cls, robot: Robot) -> LiftModel:
+        """Build the model through robosuite (1 to 5 s) and look its parts up."""
+        env = robosuite_env(robot)
+        parts, model = env.robots[0], env.sim.model._model
+        # A diverged episode must be seen, not restarted in silence; nothing reads the wrist's force sensors.
+        flags = mujoco.mjtDisableBit
+        model.opt.disableflags |= int(flags.mjDSBL_AUTORESET) | int(flags.mjDSBL_SENSOR)
+        return cls(
+            model=model,
+            rest_pose=np.array(parts.init_qpos, dtype=np.float64),
+            open_fingers=np.array(parts.gripper["right"].init_qpos, dtype=np.float64),
+            arm_qpos=np.array(parts._ref_joint_pos_indexes),
+            arm_dof=np.array(parts._ref_joint_vel_indexes),
+            arm_actuators=np.array(parts._ref_actuators_indexes_dict["right"]),
+            finger_qpos=np.array(parts._ref_gripper_joint_pos_indexes["right"]),
+            finger_dof=np.array(parts._ref_gripper_joint_vel_indexes["right"]),
+            finger_actuators=np.array(parts._ref_joint_gripper_actuator_indexes["right"]),
+            finger_signs=np.array(FINGERS[robot]),
+            site=int(parts.eef_site_id["right"]),
+            hand=int(model.body(parts.robot_model.eef_name["right"]).id),
+            block_qpos=int(model.joint(env.cube.joints[0]).qposadr[0]),
+            pedestal=int(model.body("pedestal").mocapid[0]),
+        )

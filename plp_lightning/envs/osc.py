@@ -1,0 +1,312 @@
+"""Operational-space control of many episodes without Python: one compiled call steps a share of them.
+
+The control law is robosuite 1.5's position controller (https://robosuite.ai/docs/modules/controllers.html),
+after O. Khatib, "A unified approach for motion and force control of robot manipulators: the operational
+space formulation", IEEE J. Robotics and Automation 3(1), 1987, with force and torque decoupled. MuJoCo's
+own C functions are called from the compiled code, which holds no lock of the interpreter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, ParamSpec, TypeVar, cast
+
+import llvmlite.binding
+import mujoco
+import numba
+import numpy as np
+from numba import types
+
+from plp_lightning.envs.lift_model import LiftModel
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+"""Everything of an MjData that the next step depends on."""
+SUBSTEPS = 25
+"""Physics steps in one control step: 20 Hz over 2 ms."""
+REACH = 0.05
+"""Way of the goal for an action of 1, m."""
+STIFFNESS = 150.0
+DAMPING = 2.0 * STIFFNESS**0.5
+REST_STIFFNESS = 10.0
+REST_DAMPING = 2.0 * REST_STIFFNESS**0.5
+GRIPPER_SPEED = 0.2
+"""Change of the gripper's command in one control step; it runs from -1, open, to 1, closed."""
+DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Orientation that the hand keeps: fingers down."""
+MAX_SPEED = 1e4
+"""Beyond this speed (m/s, rad/s) a simulation counts as diverged, well before MuJoCo's own limit of 1e10."""
+
+
+def _library() -> str:
+    """Path of the C library inside the mujoco package."""
+    names = ("libmujoco.so*", "libmujoco.*dylib", "mujoco.dll")
+    folder = Path(mujoco.__file__).parent
+    return str(next(path for name in names for path in sorted(folder.glob(name))))
+
+
+llvmlite.binding.load_library_permanently(_library())
+_POINTER = types.intp
+mj_step1 = types.ExternalFunction("mj_step1", types.void(_POINTER, _POINTER))
+mj_step2 = types.ExternalFunction("mj_step2", types.void(_POINTER, _POINTER))
+mj_jac_site = types.ExternalFunction("mj_jacSite", types.void(*[_POINTER] * 4, types.int32))
+mj_full_m = types.ExternalFunction("mj_fullM", types.void(*[_POINTER] * 3))
+mj_get_state = types.ExternalFunction("mj_getState", types.void(*[_POINTER] * 3, types.uint32))
+mj_set_state = types.ExternalFunction("mj_setState", types.void(*[_POINTER] * 3, types.uint32))
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile without the interpreter's lock and keep the machine code on disk."""
+    return cast("Callable[P, R]", numba.njit(nogil=True, cache=True)(function))
+
+
+class Arm(NamedTuple):
+    """What the controller knows of a robot; indices are those of :class:`LiftModel`."""
+
+    address: int
+    site: int
+    hand: int
+    block: int
+    arm_qpos: np.ndarray
+    arm_dof: np.ndarray
+    arm_actuators: np.ndarray
+    arm_low: np.ndarray
+    arm_high: np.ndarray
+    finger_qpos: np.ndarray
+    finger_dof: np.ndarray
+    finger_actuators: np.ndarray
+    finger_signs: np.ndarray
+    finger_low: np.ndarray
+    finger_high: np.ndarray
+
+    @classmethod
+    def of(cls, lift: LiftModel) -> Arm:
+        """The controller's view of a model."""
+        limits = lift.model.actuator_ctrlrange
+        return cls(
+            lift.model._address, lift.site, lift.hand, lift.block_qpos,
+            lift.arm_qpos, lift.arm_dof, lift.arm_actuators, *limits[lift.arm_actuators].T.copy(),
+            lift.finger_qpos, lift.finger_dof, lift.finger_actuators, lift.finger_signs,
+            *limits[lift.finger_actuators].T.copy(),
+        )  # fmt: skip
+
+
+class Workspace(NamedTuple):
+    """One thread's MjData, seen through arrays that share its memory, and room for the controller."""
+
+    address: int
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    bias: np.ndarray
+    inertia: np.ndarray
+    site_pos: np.ndarray
+    site_rotation: np.ndarray
+    body_quaternion: np.ndarray
+    jacobian: np.ndarray
+    """``(6, nv)``: translation above rotation."""
+    mass: np.ndarray
+    """``(nv, nv)``."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
+        """Views of ``data``, valid as long as it lives."""
+        return cls(
+            data._address, data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos,
+            data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),
+        )  # fmt: skip
+
+
+class Episodes(NamedTuple):
+    """All that is remembered of E episodes between two control steps."""
+
+    state: np.ndarray
+    """``(E, S)`` MuJoCo's integration state."""
+    grip: np.ndarray
+    """``(E,)`` command of the gripper, ramped over ten control steps: hidden from the policy."""
+    rest: np.ndarray
+    """``(E, n)`` initial arm joints, to which motion that the hand does not feel is drawn, rad."""
+    observation: np.ndarray
+    """``(E, O)`` float32: what was last seen."""
+    block_z: np.ndarray
+    """``(E,)`` height of the block's centre, m."""
+
+
+@compiled
+def solve(matrix: np.ndarray, right: np.ndarray) -> None:
+    """Solve ``matrix @ x = right`` in place by Cholesky's method.
+
+    Args:
+        matrix: Symmetric positive definite ``(n, n)``; its lower triangle is overwritten by the factor.
+        right: ``(n, k)``, overwritten by the solution.
+    """
+    size, columns = right.shape
+    for i in range(size):
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= matrix[i, k] * matrix[j, k]
+            # At a singular pose rounding may leave a pivot below zero.
+            matrix[i, j] = np.sqrt(max(rest, 1e-15)) if i == j else rest / matrix[j, j]
+    for c in range(columns):
+        for i in range(size):
+            for k in range(i):
+                right[i, c] -= matrix[i, k] * right[k, c]
+            right[i, c] /= matrix[i, i]
+        for i in range(size - 1, -1, -1):
+            for k in range(i + 1, size):
+                right[i, c] -= matrix[k, i] * right[k, c]
+            right[i, c] /= matrix[i, i]
+
+
+@compiled
+def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Spring and damper that pull the hand to its goal: force above torque, ``(6, 1)``, for unit inertia.
+
+    Args:
+        arm: The robot.
+        work: Its state.
+        goal: Position ``(3,)`` of the end effector, m.
+        velocity: Of the end effector, linear above angular ``(6,)``.
+    """
+    pull = np.zeros((6, 1))
+    rotation = work.site_rotation[arm.site].reshape(3, 3)
+    for axis in range(3):
+        pull[axis, 0] = goal[axis] - work.site_pos[arm.site, axis]
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        for column in range(3):  # half the sum of cross products of the actual and the wanted axes
+            turn = rotation[a, column] * DOWN[b, column] - rotation[b, column] * DOWN[a, column]
+            pull[3 + axis, 0] += 0.5 * turn
+    for axis in range(6):
+        pull[axis, 0] = STIFFNESS * pull[axis, 0] - DAMPING * velocity[axis]
+    return pull
+
+
+@compiled
+def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Joint torques ``(n,)`` in N m, unclipped: task, gravity and posture.
+
+    With the task inertia ``L = (J M^-1 J')^-1`` the posture torque ``N' M u`` of the null space
+    ``N = 1 - M^-1 J' L J`` is ``M u - J' L J u``, so no inverse of M or L is formed.
+    """
+    mj_full_m(arm.address, work.mass.ctypes.data, work.inertia.ctypes.data)
+    translation, rotation = work.jacobian[:3], work.jacobian[3:]
+    mj_jac_site(arm.address, work.address, translation.ctypes.data, rotation.ctypes.data, arm.site)
+    size = len(arm.arm_dof)
+    mass, jacobian, posture = np.empty((size, size)), np.empty((6, size)), np.empty((size, 1))
+    velocity = np.zeros(6)
+    for i in range(size):
+        dof = arm.arm_dof[i]
+        speed = work.qvel[dof]
+        posture[i, 0] = REST_STIFFNESS * (rest[i] - work.qpos[arm.arm_qpos[i]]) - REST_DAMPING * speed
+        for j in range(size):
+            mass[i, j] = work.mass[dof, arm.arm_dof[j]]
+        for axis in range(6):
+            jacobian[axis, i] = work.jacobian[axis, dof]
+            velocity[axis] += jacobian[axis, i] * speed
+    return _combine(mass, jacobian, wrench(arm, work, goal, velocity), posture, work.bias[arm.arm_dof])
+
+
+@compiled
+def _combine(
+    mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: np.ndarray, bias: np.ndarray
+) -> np.ndarray:
+    held = np.dot(mass, posture)[:, 0]
+    flexible = jacobian.T.copy()
+    solve(mass, flexible)
+    mobility = np.dot(jacobian, flexible)
+    unwanted = np.dot(jacobian, posture)
+    solve(mobility[:3, :3].copy(), pull[:3])
+    solve(mobility[3:, 3:].copy(), pull[3:])
+    solve(mobility, unwanted)
+    return np.dot(jacobian.T, (pull - unwanted))[:, 0] + held + bias
+
+
+@compiled
+def healthy(work: Workspace) -> bool:
+    """Whether positions and velocities are finite and of a size that physics can have."""
+    for value in work.qpos:
+        if not abs(value) < MAX_SPEED:
+            return False
+    for value in work.qvel:  # noqa: SIM110 - numba compiles the loop, not the generator
+        if not abs(value) < MAX_SPEED:
+            return False
+    return True
+
+
+@compiled
+def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, rest: np.ndarray) -> bool:
+    """Hold one action for 25 physics steps; whether the simulation stayed healthy.
+
+    Args:
+        arm: The robot.
+        work: Its state, advanced in place.
+        action: ``(4,)`` in [-1, 1]: way of the hand in units of 5 cm, and the gripper.
+        grip: Command of the gripper in [-1, 1].
+        rest: Posture ``(n,)``, rad.
+    """
+    goal = np.zeros(3)
+    for substep in range(SUBSTEPS):
+        if not healthy(work):
+            return False
+        mj_step1(arm.address, work.address)
+        if substep == 0:
+            goal[:] = work.site_pos[arm.site] + REACH * action[:3]
+        work.ctrl[arm.arm_actuators] = np.clip(torques(arm, work, goal, rest), arm.arm_low, arm.arm_high)
+        for finger in range(len(arm.finger_signs)):
+            low, high = arm.finger_low[finger], arm.finger_high[finger]
+            middle, half = 0.5 * (high + low), 0.5 * (high - low)
+            work.ctrl[arm.finger_actuators[finger]] = middle + half * arm.finger_signs[finger] * grip
+        mj_step2(arm.address, work.address)
+    return healthy(work)
+
+
+@compiled
+def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
+    """Write the observation into ``row (O,)``: arm, hand, fingers, as robosuite's observables name them."""
+    arm_size, finger_size = len(arm.arm_qpos), len(arm.finger_qpos)
+    at = 3 * arm_size
+    for i in range(arm_size):
+        angle = work.qpos[arm.arm_qpos[i]]
+        row[i], row[arm_size + i] = np.cos(angle), np.sin(angle)
+        row[2 * arm_size + i] = work.qvel[arm.arm_dof[i]]
+    for i in range(3):
+        row[at + i] = work.site_pos[arm.site, i]
+    for i in range(4):  # MuJoCo puts the scalar first, robosuite last
+        row[at + 3 + i] = work.body_quaternion[arm.hand, (i + 1) % 4]
+    for i in range(finger_size):
+        row[at + 7 + i] = work.qpos[arm.finger_qpos[i]]
+        row[at + 7 + finger_size + i] = work.qvel[arm.finger_dof[i]]
+
+
+@compiled
+def step_episodes(
+    arm: Arm, work: Workspace, episodes: Episodes, rows: np.ndarray, actions: np.ndarray, invalid: np.ndarray
+) -> None:
+    """Advance some episodes by one control step; an invalid step leaves its episode as it was.
+
+    Args:
+        arm: The robot.
+        work: The calling thread's own room.
+        episodes: All episodes, updated in place.
+        rows: ``(m,)`` which of them to step.
+        actions: ``(m, 4)`` float64, clipped here.
+        invalid: ``(m,)`` bool, written: action not finite, or simulation diverged.
+    """
+    for i in range(len(rows)):
+        row = rows[i]
+        if not np.isfinite(actions[i]).all():
+            invalid[i] = True
+            continue
+        action = np.clip(actions[i], -1.0, 1.0)
+        grip = min(max(episodes.grip[row] + GRIPPER_SPEED * np.sign(action[3]), -1.0), 1.0)
+        mj_set_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
+        invalid[i] = not control_step(arm, work, action, grip, episodes.rest[row])
+        if not invalid[i]:
+            mj_get_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
+            observe(arm, work, episodes.observation[row])
+            episodes.grip[row] = grip
+            episodes.block_z[row] = work.qpos[arm.block + 2]

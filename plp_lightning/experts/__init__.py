@@ -1,0 +1,1 @@
+"""Who demonstrates: one expert for each family of simulators."""
