@@ -1,0 +1,1 @@
+"""Evaluation: episodes in simulators, alignment of the latent space, and the statistics of both."""

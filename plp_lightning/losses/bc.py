@@ -1,0 +1,38 @@
+"""Behavioural cloning: how far predicted actions are from demonstrated ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+
+def behavioural_cloning(prediction: Mapping[str, Tensor], action: Mapping[str, Tensor]) -> Tensor:
+    r"""Squared L2 distance to the demonstrated action, mean over the samples of all domains.
+
+    .. math:: L_{BC} = \mathbb{E}_{(s,a,d,k)} \| \psi_d(\pi_z(\phi_d(s), k), s) - a \|^2
+
+    Summed over the action dimensions of a domain, so that a domain with more of them weighs more; every
+    sample counts once, whichever its domain. See "Cross-Domain Policy Transfer by Representation Alignment
+    via Multi-Domain Behavioral Cloning" (https://arxiv.org/abs/2407.16912), Eq. 1.
+
+    Args:
+        prediction: By domain, ``(B_d, A_d)``; both sizes may differ between domains.
+        action: By domain, what the expert did, ``(B_d, A_d)``.
+
+    Returns:
+        Scalar.
+
+    Example:
+        >>> behavioural_cloning({"point": torch.tensor([[1.0, 2.0]])}, {"point": torch.zeros(1, 2)})
+        tensor(5.)
+    """
+    assert prediction, "expected at least one domain"
+    assert prediction.keys() == action.keys(), f"predictions of {[*prediction]}, actions of {[*action]}"
+    for domain, predicted in prediction.items():
+        shape = tuple(action[domain].shape)
+        assert len(shape) == 2, f"expected actions (B, A) in domain {domain!r}, got {shape}"
+        assert predicted.shape == shape, f"expected predictions {shape} in domain {domain!r}, got {tuple(predicted.shape)}"
+    errors = [(predicted - action[domain]).square().sum() for domain, predicted in prediction.items()]
+    return torch.stack(errors).sum() / sum(len(predicted) for predicted in prediction.values())
