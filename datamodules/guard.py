@@ -1,0 +1,164 @@
+"""Opening HDF5 files that strangers made: everything is looked at before anything is read.
+
+HDF5 lets a file point at other files, run filter plug-ins, claim terabytes in kilobytes and contain itself.
+Every reader of this project opens files through :func:`open_guarded`, which refuses all of that.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+# Read once, when the HDF5 library starts: no file may pull in a compiled filter plug-in.
+# https://support.hdfgroup.org/documentation/hdf5/latest/_h5_p_l__u_g.html
+os.environ.setdefault("HDF5_PLUGIN_PRELOAD", "::")
+
+import h5py
+
+from datamodules.errors import TrajectoryFileError
+
+NAME = re.compile(r"(?!\.{1,2}$)[A-Za-z0-9_.-]{1,64}")
+MAX_DEPTH = 8
+MAX_OBJECTS = 200_000
+MAX_ATTRIBUTE_BYTES = 16 * 2**20
+UNSUSPICIOUS_BYTES = 256 * 2**20
+MAX_EXPANSION = 1000
+FILTERS = {
+    h5py.h5z.FILTER_DEFLATE: "gzip",
+    h5py.h5z.FILTER_SHUFFLE: "shuffle",
+    h5py.h5z.FILTER_LZF: "lzf",
+    h5py.h5z.FILTER_FLETCHER32: "fletcher32",
+}
+_LOW_LEVEL = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, OverflowError)
+
+
+def is_name(name: str) -> bool:
+    """Whether ``name`` may stand in a file: 1 to 64 of letters, digits, ``_``, ``.`` and ``-``; not ``.`` or ``..``."""
+    return NAME.fullmatch(name) is not None
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Turn whatever HDF5 raises on a damaged file into one line that names the file.
+
+    Raises:
+        TrajectoryFileError: If the block fails to read ``path``.
+    """
+    try:
+        yield
+    except (*_LOW_LEVEL, MemoryError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise TrajectoryFileError(
+            f"{path}: cannot be read as HDF5 ({reason}); expected an undamaged file: copy or collect it again"
+        ) from error
+
+
+def open_guarded(path: Path) -> h5py.File:
+    """Open an HDF5 file read-only after checking every object in it.
+
+    Args:
+        path: A finished file; nobody may be writing to it.
+
+    Returns:
+        The open file; the caller closes it.
+
+    Raises:
+        TrajectoryFileError: If the file is missing, empty, damaged or uses a feature that can harm its reader.
+    """
+    if not path.is_file():
+        raise TrajectoryFileError(f"{path}: no such file; expected a trajectory file: check the path or collect it")
+    if path.stat().st_size == 0:
+        raise TrajectoryFileError(f"{path}: the file is empty; expected HDF5: copy or collect it again")
+    with readable(path):
+        # Finished files need no lock, and NFS or Lustre may refuse one: https://github.com/h5py/h5py/issues/1101
+        file = h5py.File(path, "r", locking=False)
+        try:
+            check_objects(file, path)
+        except BaseException:
+            file.close()
+            raise
+    return file
+
+
+def check_objects(file: h5py.File, path: Path) -> list[str]:
+    """Walk all groups and arrays, one name at a time, without reading any array.
+
+    Args:
+        file: An open file.
+        path: Its path, for messages.
+
+    Returns:
+        Paths of all arrays, such as ``/domains/ant/actions``.
+
+    Raises:
+        TrajectoryFileError: At the first object that is not plain.
+    """
+    seen = {_address(file)}
+    arrays: list[str] = []
+    pending: list[tuple[str, h5py.Group]] = [("", file)]
+    while pending:
+        place, group = pending.pop()
+        _check_attributes(group, path, place or "/")
+        for name in group:
+            at = f"{place}/{name}"
+            child = _member(group, name, path, at)
+            if _address(child) in seen:
+                _refuse(path, at, "is reachable by two names", "every object once")
+            seen.add(_address(child))
+            if len(seen) > MAX_OBJECTS or at.count("/") > MAX_DEPTH:
+                _refuse(path, at, "is one object or level too many", f"{MAX_OBJECTS} objects, {MAX_DEPTH} levels")
+            if isinstance(child, h5py.Group):
+                pending.append((at, child))
+            else:
+                _check_attributes(child, path, at)
+                _check_array(child, path, at)
+                arrays.append(at)
+    return arrays
+
+
+def _address(item: h5py.Group | h5py.Dataset) -> int:
+    return int(h5py.h5o.get_info(item.id).addr)
+
+
+def _member(group: h5py.Group, name: str, path: Path, at: str) -> h5py.Group | h5py.Dataset:
+    if not is_name(name):
+        _refuse(path, ascii(at), "is no allowed name", "1 to 64 letters, digits, '_', '.', '-'")
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        _refuse(path, at, "is a soft or external link", "objects stored in the file itself")
+    child = group[name]
+    if not isinstance(child, (h5py.Group, h5py.Dataset)):
+        _refuse(path, at, "is neither group nor array", "only groups and arrays")
+    return child
+
+
+def _check_attributes(item: h5py.Group | h5py.Dataset, path: Path, at: str) -> None:
+    for name in item.attrs:
+        attribute = h5py.h5a.open(item.id, name.encode())
+        if attribute.get_storage_size() > MAX_ATTRIBUTE_BYTES or not _is_plain(attribute.dtype):
+            _refuse(path, at, f"has the attribute {name!a} of a strange type or size", "numbers and strings")
+
+
+def _check_array(array: h5py.Dataset, path: Path, at: str) -> None:
+    if array.external or array.is_virtual:
+        _refuse(path, at, "takes its values from other files", "arrays stored in the file itself")
+    if not _is_plain(array.dtype):
+        _refuse(path, at, f"has type {array.dtype}", "numbers, booleans or strings")
+    plist = array.id.get_create_plist()
+    unknown = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())} - FILTERS.keys()
+    if unknown:
+        _refuse(path, at, f"needs filter {min(unknown)}", f"at most {', '.join(FILTERS.values())}")
+    if array.nbytes > max(UNSUSPICIOUS_BYTES, MAX_EXPANSION * array.id.get_storage_size()):
+        claim = f"claims {array.nbytes / 2**20:.0f} MiB but stores {array.id.get_storage_size() / 2**20:.3f}"
+        _refuse(path, at, claim, f"at most {MAX_EXPANSION} times as much")
+
+
+def _is_plain(dtype: object) -> bool:
+    return h5py.check_string_dtype(dtype) is not None or getattr(dtype, "kind", "?") in "biufS"
+
+
+def _refuse(path: Path, at: str, found: str, expected: str) -> NoReturn:
+    raise TrajectoryFileError(f"{path}: {at} {found}; expected {expected}: get the file from a source you trust")
