@@ -41,7 +41,7 @@ def write_trajectories(
 ) -> None:
     """Create a trajectory file; it appears complete or not at all.
 
-    Episodes are sorted by task, then by seed; those with the same seed stay in the order in which they come.
+    Episodes are sorted by task; those of the same task stay in the order in which they come.
 
     Args:
         path: The new file; missing folders are made.
@@ -72,8 +72,8 @@ def add_trajectories(
 ) -> None:
     """Add demonstrations to a file, or create it: the old file is replaced in one step by one that holds both.
 
-    Demonstrations that the file holds already, value for value, are skipped. Earlier provenance is kept
-    under the key ``earlier``.
+    Within a task the new demonstrations follow the old, so that the first n stay the first n. Those that the
+    file holds already, value for value, are skipped. Earlier provenance is kept under the key ``earlier``.
 
     Args:
         path: The file to grow; missing folders are made.

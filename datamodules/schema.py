@@ -106,6 +106,8 @@ def check_spec(spec: DomainSpec, place: str) -> None:
                 f"key {key.name!r} of kind {key.kind!r}, shape {key.shape}",
                 "(n,) for state, (H, W, C) for image",
             )
+    if not "".join([spec.env, *(key.unit for key in spec.observation)]).isprintable():
+        _fail(place, "control characters in env or unit", "printable text")
     if spec.action_size < 1 or not 0 < spec.control_hz < math.inf:
         _fail(place, f"{spec.action_size} actions at {spec.control_hz} Hz", "positive, finite numbers")
 
