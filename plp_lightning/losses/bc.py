@@ -33,6 +33,8 @@ def behavioural_cloning(prediction: Mapping[str, Tensor], action: Mapping[str, T
     for domain, predicted in prediction.items():
         shape = tuple(action[domain].shape)
         assert len(shape) == 2, f"expected actions (B, A) in domain {domain!r}, got {shape}"
-        assert predicted.shape == shape, f"expected predictions {shape} in domain {domain!r}, got {tuple(predicted.shape)}"
+        assert predicted.shape == shape, (
+            f"expected predictions {shape} in domain {domain!r}, got {tuple(predicted.shape)}"
+        )
     errors = [(predicted - action[domain]).square().sum() for domain, predicted in prediction.items()]
     return torch.stack(errors).sum() / sum(len(predicted) for predicted in prediction.values())
