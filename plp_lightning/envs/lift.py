@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import mujoco
 
     from plp_lightning.envs.lift_model import LiftModel
-    from plp_lightning.envs.osc import Arm, Episodes, Workspace
+    from plp_lightning.envs.lift_state import Arm, Episodes, Workspace
 
 Robot = Literal["Sawyer", "UR5e"]
 
@@ -151,10 +151,10 @@ class _Physics:
         import mujoco
 
         from plp_lightning.envs.lift_model import LiftModel
-        from plp_lightning.envs.osc import Arm, Workspace
+        from plp_lightning.envs.lift_state import Workspace
 
         self.lift: LiftModel = LiftModel.build(robot)
-        self.arm: Arm = Arm.of(self.lift)
+        self.arm: Arm = self.lift.arm
         self.data: list[mujoco.MjData] = [mujoco.MjData(self.lift.model) for _ in range(threads)]
         self.workspaces: list[Workspace] = [Workspace.of(self.lift.model, data) for data in self.data]
         self.pool = ThreadPoolExecutor(threads, thread_name_prefix="lift")
@@ -165,10 +165,11 @@ class _Physics:
         """Begin an episode for each row of ``blocks (E, 3)`` and ``noise (E, n)``; observations ``(E, O)``."""
         import mujoco
 
-        from plp_lightning.envs.osc import STATE, Episodes, observe
+        from plp_lightning.envs.lift_state import Episodes
+        from plp_lightning.envs.osc import STATE, observe
 
         count, lift, data, work = len(blocks), self.lift, self.data[0], self.workspaces[0]
-        size = 3 * len(lift.arm_qpos) + 7 + 2 * len(lift.finger_qpos)
+        size = 3 * len(lift.arm.qpos) + 7 + 2 * len(lift.arm.finger_qpos)
         self.episodes = Episodes(
             state=np.zeros((count, mujoco.mj_stateSize(lift.model, STATE))),
             grip=np.zeros(count),
@@ -188,10 +189,10 @@ class _Physics:
 
         lift, data = self.lift, self.data[0]
         mujoco.mj_resetData(lift.model, data)
-        data.qpos[lift.arm_qpos] = pose
-        data.qpos[lift.finger_qpos] = lift.open_fingers
+        data.qpos[lift.arm.qpos] = pose
+        data.qpos[lift.arm.finger_qpos] = lift.open_fingers
         # The block starts a millimetre above its pedestal and settles in the first control step.
-        data.qpos[lift.block_qpos : lift.block_qpos + 7] = [*block[:2], block[2] + 1e-3, 1.0, 0.0, 0.0, 0.0]
+        data.qpos[lift.arm.block : lift.arm.block + 7] = [*block[:2], block[2] + 1e-3, 1.0, 0.0, 0.0, 0.0]
         data.mocap_pos[lift.pedestal] = [*block[:2], block[2] - BLOCK_HALF - PEDESTAL_HALF_HEIGHT]
         mujoco.mj_forward(lift.model, data)
 
@@ -219,6 +220,4 @@ class _Physics:
                 chunk = chunks.popleft()
             except IndexError:  # another thread took the last one
                 return
-            step_episodes(
-                self.arm, self.workspaces[worker], self.episodes, rows[chunk], actions[chunk], invalid[chunk]
-            )
+            step_episodes(self.arm, self.workspaces[worker], self.episodes, rows[chunk], actions[chunk], invalid[chunk])

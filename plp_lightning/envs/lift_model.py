@@ -17,12 +17,16 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.lift_state import Arm
+
 Robot = Literal["Sawyer", "UR5e"]
 
 BLOCK_HALF = 0.02
 """Half the edge of the block, m. robosuite draws it anew for every model; both robots need the same."""
 PEDESTAL_HALF = (0.018, 0.018, 0.10)
 """Half size of the pedestal, m: narrower than the block, so that the fingers clear it."""
+ARENA = "16M"
+"""Room for contacts in each thread; an episode needs less than a tenth of it."""
 FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
 """Sign with which each finger's actuator follows the gripper command."""
 
@@ -96,50 +100,53 @@ def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
 
 @dataclass(frozen=True)
 class LiftModel:
-    """A compiled model and the addresses of the parts that matter, all found by name."""
+    """A compiled model and its parts, all found by name."""
 
     model: mujoco.MjModel
+    arm: Arm
     rest_pose: np.ndarray
     """Arm joints ``(n,)`` in robosuite's initial pose, rad."""
     open_fingers: np.ndarray
     """Finger joints ``(g,)`` in robosuite's initial pose, m or rad."""
-    arm_qpos: np.ndarray
-    arm_dof: np.ndarray
-    arm_actuators: np.ndarray
-    finger_qpos: np.ndarray
-    finger_dof: np.ndarray
-    finger_actuators: np.ndarray
-    finger_signs: np.ndarray
-    site: int
-    """Site between the fingers: the end effector's position."""
-    hand: int
-    """Body whose orientation is observed."""
-    block_qpos: int
-    """Where the block's free joint starts in qpos."""
     pedestal: int
     """Row of the pedestal in mocap_pos."""
 
     @classmethod
     def build(cls, robot: Robot) -> LiftModel:
-        """Build the model through robosuite (1 to 5 s) and look its parts up."""
+        """Build the model through robosuite (2 to 5 s) and look its parts up."""
         env = robosuite_env(robot)
-        parts, model = env.robots[0], env.sim.model._model
-        # A diverged episode must be seen, not restarted in silence; nothing reads the wrist's force sensors.
-        flags = mujoco.mjtDisableBit
-        model.opt.disableflags |= int(flags.mjDSBL_AUTORESET) | int(flags.mjDSBL_SENSOR)
-        return cls(
-            model=model,
-            rest_pose=np.array(parts.init_qpos, dtype=np.float64),
-            open_fingers=np.array(parts.gripper["right"].init_qpos, dtype=np.float64),
-            arm_qpos=np.array(parts._ref_joint_pos_indexes),
-            arm_dof=np.array(parts._ref_joint_vel_indexes),
-            arm_actuators=np.array(parts._ref_actuators_indexes_dict["right"]),
-            finger_qpos=np.array(parts._ref_gripper_joint_pos_indexes["right"]),
-            finger_dof=np.array(parts._ref_gripper_joint_vel_indexes["right"]),
-            finger_actuators=np.array(parts._ref_joint_gripper_actuator_indexes["right"]),
-            finger_signs=np.array(FINGERS[robot]),
+        parts, model = env.robots[0], _bare_model(env)
+        actuators = np.array(parts._ref_actuators_indexes_dict["right"])
+        finger_actuators = np.array(parts._ref_joint_gripper_actuator_indexes["right"])
+        arm = Arm(
+            address=model._address,
             site=int(parts.eef_site_id["right"]),
             hand=int(model.body(parts.robot_model.eef_name["right"]).id),
-            block_qpos=int(model.joint(env.cube.joints[0]).qposadr[0]),
-            pedestal=int(model.body("pedestal").mocapid[0]),
+            block=int(model.joint(env.cube.joints[0]).qposadr[0]),
+            qpos=np.array(parts._ref_joint_pos_indexes),
+            dof=np.array(parts._ref_joint_vel_indexes),
+            actuators=actuators,
+            limits=model.actuator_ctrlrange[actuators],
+            finger_qpos=np.array(parts._ref_gripper_joint_pos_indexes["right"]),
+            finger_dof=np.array(parts._ref_gripper_joint_vel_indexes["right"]),
+            finger_actuators=finger_actuators,
+            finger_signs=np.array(FINGERS[robot]),
+            finger_limits=model.actuator_ctrlrange[finger_actuators],
         )
+        rest_pose, fingers = np.array(parts.init_qpos, dtype=float), np.array(parts.gripper["right"].init_qpos)
+        return cls(model, arm, rest_pose, fingers, pedestal=int(model.body("pedestal").mocapid[0]))
+
+
+def _bare_model(env: Any) -> mujoco.MjModel:
+    """The environment's model without what only a renderer or a sensor needs; its motion is the same, bit for bit."""
+    root = ET.fromstring(env.edit_model_xml(env.model.get_xml()))
+    compiler, size = root.find("compiler"), root.find("size")
+    assert compiler is not None
+    compiler.set("discardvisual", "true")
+    if size is not None:  # robosuite asks for room for thousands of contacts: over a gigabyte in each thread
+        root.remove(size)
+    ET.SubElement(root, "size", memory=ARENA)
+    model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+    # A diverged episode must be seen, not restarted in silence.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET) | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+    return model

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, ParamSpec, TypeVar, cast
+from typing import ParamSpec, TypeVar, cast
 
 import llvmlite.binding
 import mujoco
@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from numba import types
 
-from plp_lightning.envs.lift_model import LiftModel
+from plp_lightning.envs.lift_state import Arm, Episodes, Workspace
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -58,84 +58,18 @@ mj_get_state = types.ExternalFunction("mj_getState", types.void(*[_POINTER] * 3,
 mj_set_state = types.ExternalFunction("mj_setState", types.void(*[_POINTER] * 3, types.uint32))
 
 
-def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile without the interpreter's lock and keep the machine code on disk."""
-    return cast("Callable[P, R]", numba.njit(nogil=True, cache=True)(function))
+def entry(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile what Python calls: without the interpreter's lock, machine code kept on disk."""
+    return cast("Callable[P, R]", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
 
 
-class Arm(NamedTuple):
-    """What the controller knows of a robot; indices are those of :class:`LiftModel`."""
-
-    address: int
-    site: int
-    hand: int
-    block: int
-    arm_qpos: np.ndarray
-    arm_dof: np.ndarray
-    arm_actuators: np.ndarray
-    arm_low: np.ndarray
-    arm_high: np.ndarray
-    finger_qpos: np.ndarray
-    finger_dof: np.ndarray
-    finger_actuators: np.ndarray
-    finger_signs: np.ndarray
-    finger_low: np.ndarray
-    finger_high: np.ndarray
-
-    @classmethod
-    def of(cls, lift: LiftModel) -> Arm:
-        """The controller's view of a model."""
-        limits = lift.model.actuator_ctrlrange
-        return cls(
-            lift.model._address, lift.site, lift.hand, lift.block_qpos,
-            lift.arm_qpos, lift.arm_dof, lift.arm_actuators, *limits[lift.arm_actuators].T.copy(),
-            lift.finger_qpos, lift.finger_dof, lift.finger_actuators, lift.finger_signs,
-            *limits[lift.finger_actuators].T.copy(),
-        )  # fmt: skip
+def inner(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile what only compiled code calls: without the wrapper for Python, which costs more than the function."""
+    options = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return cast("Callable[P, R]", numba.njit(**options)(function))
 
 
-class Workspace(NamedTuple):
-    """One thread's MjData, seen through arrays that share its memory, and room for the controller."""
-
-    address: int
-    qpos: np.ndarray
-    qvel: np.ndarray
-    ctrl: np.ndarray
-    bias: np.ndarray
-    inertia: np.ndarray
-    site_pos: np.ndarray
-    site_rotation: np.ndarray
-    body_quaternion: np.ndarray
-    jacobian: np.ndarray
-    """``(6, nv)``: translation above rotation."""
-    mass: np.ndarray
-    """``(nv, nv)``."""
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
-        """Views of ``data``, valid as long as it lives."""
-        return cls(
-            data._address, data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos,
-            data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),
-        )  # fmt: skip
-
-
-class Episodes(NamedTuple):
-    """All that is remembered of E episodes between two control steps."""
-
-    state: np.ndarray
-    """``(E, S)`` MuJoCo's integration state."""
-    grip: np.ndarray
-    """``(E,)`` command of the gripper, ramped over ten control steps: hidden from the policy."""
-    rest: np.ndarray
-    """``(E, n)`` initial arm joints, to which motion that the hand does not feel is drawn, rad."""
-    observation: np.ndarray
-    """``(E, O)`` float32: what was last seen."""
-    block_z: np.ndarray
-    """``(E,)`` height of the block's centre, m."""
-
-
-@compiled
+@inner
 def solve(matrix: np.ndarray, right: np.ndarray) -> None:
     """Solve ``matrix @ x = right`` in place by Cholesky's method.
 
@@ -162,7 +96,7 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> None:
             right[i, c] /= matrix[i, i]
 
 
-@compiled
+@inner
 def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """Spring and damper that pull the hand to its goal: force above torque, ``(6, 1)``, for unit inertia.
 
@@ -170,7 +104,7 @@ def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) ->
         arm: The robot.
         work: Its state.
         goal: Position ``(3,)`` of the end effector, m.
-        velocity: Of the end effector, linear above angular ``(6,)``.
+        velocity: Of the end effector, linear above angular ``(6, 1)``.
     """
     pull = np.zeros((6, 1))
     rotation = work.site_rotation[arm.site].reshape(3, 3)
@@ -181,51 +115,77 @@ def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) ->
             turn = rotation[a, column] * DOWN[b, column] - rotation[b, column] * DOWN[a, column]
             pull[3 + axis, 0] += 0.5 * turn
     for axis in range(6):
-        pull[axis, 0] = STIFFNESS * pull[axis, 0] - DAMPING * velocity[axis]
+        pull[axis, 0] = STIFFNESS * pull[axis, 0] - DAMPING * velocity[axis, 0]
     return pull
 
 
-@compiled
+@inner
+def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Matrix product; for matrices this small a loop is faster than a call of BLAS."""
+    out = np.zeros((left.shape[0], right.shape[1]))
+    for i in range(left.shape[0]):
+        for k in range(left.shape[1]):
+            for j in range(right.shape[1]):
+                out[i, j] += left[i, k] * right[k, j]
+    return out
+
+
+@inner
 def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Joint torques ``(n,)`` in N m, unclipped: task, gravity and posture.
+    """Joint torques ``(n, 1)`` in N m, not yet clipped: task, posture and gravity.
+
+    Args:
+        arm: The robot.
+        work: Its state, after mj_step1.
+        goal: Position ``(3,)`` of the end effector, m.
+        rest: Posture ``(n,)``, rad.
+    """
+    mj_full_m(arm.address, work.mass.ctypes.data, work.inertia.ctypes.data)
+    linear, angular = work.jacobian[:3], work.jacobian[3:]
+    mj_jac_site(arm.address, work.address, linear.ctypes.data, angular.ctypes.data, arm.site)
+    size = len(arm.dof)
+    mass, jacobian = np.empty((size, size)), np.empty((6, size))
+    speed, posture = np.empty((size, 1)), np.empty((size, 1))
+    for i in range(size):
+        dof = arm.dof[i]
+        speed[i, 0] = work.qvel[dof]
+        posture[i, 0] = REST_STIFFNESS * (rest[i] - work.qpos[arm.qpos[i]]) - REST_DAMPING * speed[i, 0]
+        for j in range(size):
+            mass[i, j] = work.mass[dof, arm.dof[j]]
+        for axis in range(6):
+            jacobian[axis, i] = work.jacobian[axis, dof]
+    total = combine(mass, jacobian, wrench(arm, work, goal, product(jacobian, speed)), posture)
+    for i in range(size):
+        total[i, 0] += work.bias[arm.dof[i]]
+    return total
+
+
+@inner
+def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: np.ndarray) -> np.ndarray:
+    """Torques ``(n, 1)`` of the task, and of the posture where the hand does not feel it.
 
     With the task inertia ``L = (J M^-1 J')^-1`` the posture torque ``N' M u`` of the null space
     ``N = 1 - M^-1 J' L J`` is ``M u - J' L J u``, so no inverse of M or L is formed.
+
+    Args:
+        mass: Inertia M of the arm ``(n, n)``; overwritten.
+        jacobian: J of the hand ``(6, n)``, linear above angular.
+        pull: Wanted acceleration of the hand ``(6, 1)``; overwritten.
+        posture: Wanted acceleration u of the joints ``(n, 1)``.
     """
-    mj_full_m(arm.address, work.mass.ctypes.data, work.inertia.ctypes.data)
-    translation, rotation = work.jacobian[:3], work.jacobian[3:]
-    mj_jac_site(arm.address, work.address, translation.ctypes.data, rotation.ctypes.data, arm.site)
-    size = len(arm.arm_dof)
-    mass, jacobian, posture = np.empty((size, size)), np.empty((6, size)), np.empty((size, 1))
-    velocity = np.zeros(6)
-    for i in range(size):
-        dof = arm.arm_dof[i]
-        speed = work.qvel[dof]
-        posture[i, 0] = REST_STIFFNESS * (rest[i] - work.qpos[arm.arm_qpos[i]]) - REST_DAMPING * speed
-        for j in range(size):
-            mass[i, j] = work.mass[dof, arm.arm_dof[j]]
-        for axis in range(6):
-            jacobian[axis, i] = work.jacobian[axis, dof]
-            velocity[axis] += jacobian[axis, i] * speed
-    return _combine(mass, jacobian, wrench(arm, work, goal, velocity), posture, work.bias[arm.arm_dof])
-
-
-@compiled
-def _combine(
-    mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: np.ndarray, bias: np.ndarray
-) -> np.ndarray:
-    held = np.dot(mass, posture)[:, 0]
+    held = product(mass, posture)
     flexible = jacobian.T.copy()
     solve(mass, flexible)
-    mobility = np.dot(jacobian, flexible)
-    unwanted = np.dot(jacobian, posture)
+    mobility = product(jacobian, flexible)
+    unwanted = product(jacobian, posture)
     solve(mobility[:3, :3].copy(), pull[:3])
     solve(mobility[3:, 3:].copy(), pull[3:])
     solve(mobility, unwanted)
-    return np.dot(jacobian.T, (pull - unwanted))[:, 0] + held + bias
+    pull -= unwanted
+    return held + product(jacobian.T, pull)
 
 
-@compiled
+@inner
 def healthy(work: Workspace) -> bool:
     """Whether positions and velocities are finite and of a size that physics can have."""
     for value in work.qpos:
@@ -237,42 +197,50 @@ def healthy(work: Workspace) -> bool:
     return True
 
 
-@compiled
+@inner
+def actuate(arm: Arm, work: Workspace, torque: np.ndarray, grip: float) -> None:
+    """Write the controls of the arm ``torque (n, 1)``, clipped, and of the fingers, ``grip`` in [-1, 1]."""
+    for i in range(len(arm.actuators)):
+        low, high = arm.limits[i]
+        work.ctrl[arm.actuators[i]] = min(max(torque[i, 0], low), high)
+    for i in range(len(arm.finger_actuators)):
+        low, high = arm.finger_limits[i]
+        work.ctrl[arm.finger_actuators[i]] = 0.5 * (high + low) + 0.5 * (high - low) * arm.finger_signs[i] * grip
+
+
+@inner
 def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, rest: np.ndarray) -> bool:
     """Hold one action for 25 physics steps; whether the simulation stayed healthy.
 
     Args:
         arm: The robot.
         work: Its state, advanced in place.
-        action: ``(4,)`` in [-1, 1]: way of the hand in units of 5 cm, and the gripper.
+        action: ``(4,)``: way of the hand in units of 5 cm, clipped to [-1, 1], and the gripper.
         grip: Command of the gripper in [-1, 1].
         rest: Posture ``(n,)``, rad.
     """
-    goal = np.zeros(3)
+    goal = np.empty(3)
     for substep in range(SUBSTEPS):
         if not healthy(work):
             return False
         mj_step1(arm.address, work.address)
         if substep == 0:
-            goal[:] = work.site_pos[arm.site] + REACH * action[:3]
-        work.ctrl[arm.arm_actuators] = np.clip(torques(arm, work, goal, rest), arm.arm_low, arm.arm_high)
-        for finger in range(len(arm.finger_signs)):
-            low, high = arm.finger_low[finger], arm.finger_high[finger]
-            middle, half = 0.5 * (high + low), 0.5 * (high - low)
-            work.ctrl[arm.finger_actuators[finger]] = middle + half * arm.finger_signs[finger] * grip
+            for axis in range(3):
+                goal[axis] = work.site_pos[arm.site, axis] + REACH * min(max(action[axis], -1.0), 1.0)
+        actuate(arm, work, torques(arm, work, goal, rest), grip)
         mj_step2(arm.address, work.address)
     return healthy(work)
 
 
-@compiled
+@entry
 def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
     """Write the observation into ``row (O,)``: arm, hand, fingers, as robosuite's observables name them."""
-    arm_size, finger_size = len(arm.arm_qpos), len(arm.finger_qpos)
+    arm_size, finger_size = len(arm.qpos), len(arm.finger_qpos)
     at = 3 * arm_size
     for i in range(arm_size):
-        angle = work.qpos[arm.arm_qpos[i]]
+        angle = work.qpos[arm.qpos[i]]
         row[i], row[arm_size + i] = np.cos(angle), np.sin(angle)
-        row[2 * arm_size + i] = work.qvel[arm.arm_dof[i]]
+        row[2 * arm_size + i] = work.qvel[arm.dof[i]]
     for i in range(3):
         row[at + i] = work.site_pos[arm.site, i]
     for i in range(4):  # MuJoCo puts the scalar first, robosuite last
@@ -282,7 +250,7 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
         row[at + 7 + finger_size + i] = work.qvel[arm.finger_dof[i]]
 
 
-@compiled
+@entry
 def step_episodes(
     arm: Arm, work: Workspace, episodes: Episodes, rows: np.ndarray, actions: np.ndarray, invalid: np.ndarray
 ) -> None:
@@ -301,10 +269,9 @@ def step_episodes(
         if not np.isfinite(actions[i]).all():
             invalid[i] = True
             continue
-        action = np.clip(actions[i], -1.0, 1.0)
-        grip = min(max(episodes.grip[row] + GRIPPER_SPEED * np.sign(action[3]), -1.0), 1.0)
+        grip = min(max(episodes.grip[row] + GRIPPER_SPEED * np.sign(actions[i, 3]), -1.0), 1.0)
         mj_set_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
-        invalid[i] = not control_step(arm, work, action, grip, episodes.rest[row])
+        invalid[i] = not control_step(arm, work, actions[i], grip, episodes.rest[row])
         if not invalid[i]:
             mj_get_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
             observe(arm, work, episodes.observation[row])

@@ -1,0 +1,77 @@
+"""What stepping R2R-Lift reads and writes: tuples of plain arrays, which compiled code takes as they are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+
+class Arm(NamedTuple):
+    """Where the parts of a robot with n arm joints, g finger joints and f finger actuators are in its model."""
+
+    address: int
+    """Of the MjModel in memory."""
+    site: int
+    """Site between the fingers: the position of the end effector."""
+    hand: int
+    """Body whose orientation is observed."""
+    block: int
+    """Where the block's free joint starts in qpos."""
+    qpos: np.ndarray
+    """``(n,)``, as are dof and actuators."""
+    dof: np.ndarray
+    actuators: np.ndarray
+    limits: np.ndarray
+    """``(n, 2)`` least and greatest torque, N m."""
+    finger_qpos: np.ndarray
+    """``(g,)``, as is finger_dof."""
+    finger_dof: np.ndarray
+    finger_actuators: np.ndarray
+    """``(f,)``."""
+    finger_signs: np.ndarray
+    """``(f,)``: how each actuator follows the gripper's command."""
+    finger_limits: np.ndarray
+    """``(f, 2)`` least and greatest control."""
+
+
+class Workspace(NamedTuple):
+    """One thread's MjData, seen through arrays that share its memory, and room for the controller."""
+
+    address: int
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    bias: np.ndarray
+    inertia: np.ndarray
+    site_pos: np.ndarray
+    site_rotation: np.ndarray
+    body_quaternion: np.ndarray
+    jacobian: np.ndarray
+    """``(6, nv)``: translation above rotation."""
+    mass: np.ndarray
+    """``(nv, nv)``."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
+        """Views of ``data``, valid as long as it lives."""
+        return cls(
+            data._address, data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos,
+            data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),
+        )  # fmt: skip
+
+
+class Episodes(NamedTuple):
+    """All that is remembered of E episodes between two control steps."""
+
+    state: np.ndarray
+    """``(E, S)`` MuJoCo's integration state."""
+    grip: np.ndarray
+    """``(E,)`` command of the gripper, ramped over ten control steps: hidden from the policy."""
+    rest: np.ndarray
+    """``(E, n)`` initial arm joints, to which motion that the hand does not feel is drawn, rad."""
+    observation: np.ndarray
+    """``(E, O)`` float32: what was last seen."""
+    block_z: np.ndarray
+    """``(E,)`` height of the block's centre, m."""
