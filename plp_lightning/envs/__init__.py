@@ -1,1 +1,7 @@
-"""Simulators: many episodes behind one small interface."""
+"""SIMULATORS: one file a family, stepped in batches behind one small interface; importing them is cheap."""
+
+from plp_lightning.envs.base import Domain, Expert, Simulator
+from plp_lightning.envs.lift import Lift
+from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
+
+__all__ = ["Domain", "Expert", "Lift", "LinearPoint", "LinearPointExpert", "Simulator"]

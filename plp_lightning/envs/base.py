@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from datamodules.errors import UserError
 from datamodules.types import DomainSpec, Observation
 
 
@@ -52,6 +53,16 @@ class Simulator(ABC):
     @abstractmethod
     def spec(self, name: str) -> DomainSpec:
         """Observation and action space, under the name that the experiment gives this domain."""
+
+    def shared_position(self, state: np.ndarray) -> np.ndarray:
+        """Where raw states ``(N, O)`` are in a frame that all domains of an experiment share, ``(N, P)``.
+
+        Two states of different domains correspond if they are at the same place; alignment scores use it.
+
+        Raises:
+            UserError: If nothing of the kind is known for this simulator.
+        """
+        raise UserError(f"{type(self).__name__} knows no position that domains share; choose another --score")
 
     @abstractmethod
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:

@@ -1,1 +1,5 @@
-"""Who demonstrates: one expert for each family of simulators."""
+"""EXPERTS: who demonstrates."""
+
+from plp_lightning.experts.lift import LiftExpert
+
+__all__ = ["LiftExpert"]

@@ -1,0 +1,244 @@
+"""The DataModule: demonstrations of proxy tasks in every domain, of the target task in the source domain."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from filelock import FileLock
+from lightning.pytorch import LightningDataModule
+
+from datamodules.errors import MissingTrajectoriesError
+from datamodules.hdf5 import TrajectoryFile
+from datamodules.loader import FixedBatches, Loader, PairSource
+from datamodules.normalization import Statistics
+from datamodules.sampler import AlignmentOrder, MixOrder, PairOrder, generator
+from datamodules.table import Table, build_table
+from datamodules.types import Collector, DomainSpec
+
+Part = Literal["train", "held_out"]
+
+Demand = Literal["proxies", "pairs", "mix"]
+"""What a phase trains on: proxy tasks of all domains; the same with trajectory pairs; target task and mix."""
+
+
+class TransferDataModule(LightningDataModule):
+    """Trajectories of one experiment, as batches for its phases.
+
+    Alignment data are the proxy tasks in every domain; adaptation data are the target task in the source
+    domain, mixed with alignment data. The target task in the target domain is never read.
+
+    Args:
+        path: The trajectory file.
+        tasks: All task names of the experiment, in canonical order; their positions are the task indices.
+        proxies: Tasks that align the domains.
+        target_tasks: Tasks that make up the target (one, or a goal from several start zones).
+        domains: Names of the domains, in order.
+        source_domain: Domain whose demonstrations of the target adapt the policy.
+        target_domain: Domain that the policy is transferred to.
+        target: Name of the target task.
+        trajectories: Demonstrations of all proxy tasks together, for each domain.
+        target_trajectories: Demonstrations of the target, all its tasks together.
+        held_out: Share of the trajectories that is kept from training, for the held-out loss.
+        batch_size: Steps in a batch, all domains together.
+        pairs: Trajectory pairs in a batch, for phases that ask for them.
+        stride: One of so many frames of a paired trajectory is kept.
+        mix: Alignment steps for each target step in adaptation, drawn anew each epoch.
+        seed: Seed of every draw.
+        collector: Makes missing demonstrations; None if they can only come from the file.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        tasks: Sequence[str],
+        proxies: Sequence[str],
+        target_tasks: Sequence[str],
+        domains: Sequence[str],
+        source_domain: str,
+        target_domain: str,
+        target: str,
+        trajectories: int = 1000,
+        target_trajectories: int = 64,
+        held_out: float = 0.05,
+        batch_size: int = 512,
+        pairs: int = 32,
+        stride: int = 16,
+        mix: float = 2.0,
+        seed: int = 0,
+        collector: Collector | None = None,
+    ) -> None:
+        super().__init__()
+        self.path, self.tasks, self.domains = path, tuple(tasks), tuple(domains)
+        self.proxies, self.target_tasks, self.target = tuple(proxies), tuple(target_tasks), target
+        self.source_domain, self.target_domain = source_domain, target_domain
+        self.trajectories, self.target_trajectories = trajectories, target_trajectories
+        self.held_out, self.batch_size, self.pairs, self.stride = held_out, batch_size, pairs, stride
+        self.mix, self.seed, self.collector = mix, seed, collector
+        self._loader: Loader | None = None
+        self._cursor: Mapping[str, int] | None = None
+
+    # -- what is needed, and what is there ---------------------------------------------------------
+
+    def demand(self) -> dict[str, dict[str, int]]:
+        """Demonstrations that the experiment needs: ``demand[domain][task]``."""
+        per_proxy = -(-self.trajectories // len(self.proxies))
+        needed = {domain: dict.fromkeys(self.proxies, per_proxy) for domain in self.domains}
+        per_target = -(-self.target_trajectories // len(self.target_tasks))
+        needed[self.source_domain] |= dict.fromkeys(self.target_tasks, per_target)
+        return needed
+
+    def missing(self) -> dict[str, dict[str, int]]:
+        """The part of :meth:`demand` that the file lacks; empty if nothing is missing."""
+        counts: Mapping[str, Mapping[str, int]] = {}
+        if self.path.exists():
+            with TrajectoryFile.open(self.path) as file:
+                counts = file.counts()
+        lacking = {
+            domain: {task: n - counts.get(domain, {}).get(task, 0) for task, n in tasks.items()}
+            for domain, tasks in self.demand().items()
+        }
+        found = {domain: {task: n for task, n in tasks.items() if n > 0} for domain, tasks in lacking.items()}
+        return {domain: tasks for domain, tasks in found.items() if tasks}
+
+    def prepare_data(self) -> None:
+        """Collect the demonstrations that are missing, one process at a time.
+
+        Raises:
+            MissingTrajectoriesError: If some are missing and there is no collector.
+        """
+        if not self.missing():
+            return
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{self.path}.lock"):
+            missing = self.missing()
+            if missing and self.collector is None:
+                raise MissingTrajectoriesError(_lack(self.path, missing))
+            if missing and self.collector is not None:
+                self.collector(self.path, missing)
+
+    # -- tables and their parts --------------------------------------------------------------------
+
+    @cached_property
+    def tables(self) -> dict[str, Table]:
+        """By domain: the trajectories that this run may see, read once."""
+        with TrajectoryFile.open(self.path) as file:
+            return {domain: self._read(file, domain) for domain in self.domains}
+
+    def _read(self, file: TrajectoryFile, domain: str) -> Table:
+        table = file.episodes(domain)
+        chosen = np.concatenate([np.flatnonzero(table.task == task)[:n] for task, n in self.demand()[domain].items()])
+        arrays = file.read(domain, np.sort(chosen))
+        index = {name: i for i, name in enumerate(self.tasks)}
+        episode_task = np.array([index[name] for name in arrays.task])
+        spec = next(spec for spec in file.domains if spec.name == domain)
+        return build_table(spec, arrays.state, arrays.image, arrays.actions, arrays.offset, episode_task)
+
+    @property
+    def specs(self) -> list[DomainSpec]:
+        """What each domain looks like, in order."""
+        return [table.spec for table in self.tables.values()]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of everything that this run trains on."""
+        digest = hashlib.sha256()
+        for table in self.tables.values():
+            images = [] if table.observation.image is None else [table.observation.image]
+            for tensor in (table.observation.state, table.action, table.task, *images):
+                digest.update(np.ascontiguousarray(tensor.numpy()).data)
+        return digest.hexdigest()
+
+    def episodes(self, domain: str, tasks: Sequence[str], part: Part) -> np.ndarray:
+        """Trajectory ids of ``tasks`` in one part of a domain's data; the parts never overlap."""
+        wanted = np.array([self.tasks.index(task) for task in tasks])
+        ids = self.tables[domain].episodes_of(wanted)
+        order = generator(0, len(ids)).permutation(ids)
+        count = max(1, round(self.held_out * len(ids))) if self.held_out > 0 and len(ids) > 1 else 0
+        return np.sort(order[:count] if part == "held_out" else order[count:])
+
+    def rows(self, tasks: Sequence[str], part: Part) -> dict[str, np.ndarray]:
+        """Rows of ``tasks`` by domain; domains without any are left out."""
+        found = {d: table.rows_of(self.episodes(d, tasks, part)) for d, table in self.tables.items()}
+        return {domain: rows for domain, rows in found.items() if len(rows)}
+
+    def statistics(self) -> dict[str, Statistics]:
+        """Of the raw states that the alignment phase trains on, by domain."""
+        rows = self.rows(self.proxies, "train")
+        return {d: Statistics.fit(self.tables[d].observation.state.numpy()[r]) for d, r in rows.items()}
+
+    # -- batches -----------------------------------------------------------------------------------
+
+    def loader(self, demand: Demand) -> Loader:
+        """Training batches of a phase."""
+        if demand == "mix":
+            order = MixOrder(
+                self.rows(self.target_tasks, "train"),
+                self.rows(self.proxies, "train"),
+                self.mix,
+                self.batch_size,
+                self.seed,
+            )
+            return Loader(self.tables, order)
+        pairs = PairSource(self.tables, self._pair_order(), self.stride) if demand == "pairs" else None
+        return Loader(self.tables, AlignmentOrder(self.rows(self.proxies, "train"), self.batch_size, self.seed), pairs)
+
+    def _pair_order(self) -> PairOrder:
+        episodes = {
+            domain: {
+                self.tasks.index(task): ids for task in self.proxies if len(ids := self.episodes_for_pair(domain, task))
+            }
+            for domain in self.domains
+        }
+        return PairOrder(episodes, self.pairs, self.seed)
+
+    def episodes_for_pair(self, domain: str, task: str) -> np.ndarray:
+        """Training trajectories of one proxy task in a domain."""
+        train = self.episodes(domain, self.proxies, "train")
+        return train[self.tables[domain].episode_task[train] == self.tasks.index(task)]
+
+    def train_dataloader(self) -> Loader:
+        """Batches for the phase that the trainer runs, from where a resumed run stopped."""
+        self._loader = self.loader(self._phase_demand())
+        if self._cursor is not None:
+            self._loader.load_state_dict(self._cursor)
+            self._cursor = None
+        return self._loader
+
+    def val_dataloader(self) -> FixedBatches:
+        """Held-out trajectories of what the phase trains on."""
+        tasks = self.target_tasks if self._phase_demand() == "mix" else self.proxies
+        return FixedBatches(self.tables, self.rows(tasks, "held_out"), 1024)
+
+    def _phase_demand(self) -> Demand:
+        if self.trainer is None:
+            return "proxies"
+        demand: Demand = self.trainer.lightning_module.demand
+        return demand
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts that hold trajectories."""
+        return ("train", "held_out") if self.held_out > 0 else ("train",)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the training loader stands."""
+        return {} if self._loader is None else dict(self._loader.state_dict())
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Let the next training loader go on where ``state_dict`` was taken."""
+        self._cursor = state_dict or None
+
+
+def _lack(path: Path, missing: Mapping[str, Mapping[str, int]]) -> str:
+    domain, tasks = next(iter(missing.items()))
+    task, count = next(iter(tasks.items()))
+    total = sum(sum(t.values()) for t in missing.values())
+    return (
+        f"{path}: {total} demonstrations are missing (first: {count} of task {task!r} in domain {domain!r}) and the "
+        "experiment has no simulator and expert to collect them; import them or name another file with --data.path"
+    )

@@ -1,0 +1,6 @@
+"""``python -m plp_lightning`` is the same as ``plp``."""
+
+from plp_lightning.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""Looking at a trained policy again: success rates, held-out losses, predicted actions."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from datamodules.atomic import locked_folder, replacing
+from plp_lightning.evaluation.simulation import evaluate_all
+from plp_lightning.experiment import Experiment
+from plp_lightning.fit import load_policy_weights
+from plp_lightning.policy import PortablePolicy
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """An experiment and the checkpoint that is looked at.
+
+    Args:
+        experiment: Domains, data and how to evaluate.
+        checkpoint: The policy's weights.
+        folder: Where results go if nothing else is said.
+    """
+
+    experiment: Experiment
+    checkpoint: Path
+    folder: Path
+
+    @cached_property
+    def policy(self) -> PortablePolicy:
+        """The policy with the checkpoint's weights, ready to act."""
+        torch.set_num_threads(self.experiment.threads)
+        self.experiment.data.prepare_data()
+        policy = self.experiment.build_policy()
+        load_policy_weights(policy, self.checkpoint)
+        return policy.eval()
+
+    def success(self, episodes: int | None, seed: int | None) -> dict[str, dict[str, Any]]:
+        """Outcome of every trial."""
+        count = episodes or self.experiment.evaluation.final_episodes
+        seed = self.experiment.seed if seed is None else seed
+        outcomes = evaluate_all(self.policy, self.experiment.simulators, self.experiment.trials, count, seed)
+        return {name: outcome.to_dict() for name, outcome in outcomes.items()}
+
+    def scores(self) -> dict[str, float]:
+        """Alignment scores."""
+        score = self.experiment.score
+        return {} if score is None else score(self.policy, self.experiment.data, self.experiment.simulators)
+
+    def write(self, path: Path, record: dict[str, Any]) -> None:
+        """Write a record as JSON, in one visible step."""
+        with locked_folder(path.resolve().parent), replacing(path.resolve()) as temporary:
+            temporary.write_text(json.dumps(record | {"checkpoint": str(self.checkpoint)}, indent=2) + "\n")
+
+
+def held_out_predictions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Predicted and demonstrated actions ``(N, A)`` on the held-out trajectories, by domain."""
+    policy, data = assessment.policy, assessment.experiment.data
+    found = {}
+    for domain, rows in data.rows([*data.proxies, *data.target_tasks], "held_out").items():
+        steps = data.tables[domain].take(torch.from_numpy(rows))
+        with torch.inference_mode():
+            action = policy({domain: steps.observation}, {domain: steps.task}).action[domain]
+        found[domain] = (action.numpy(), steps.action.numpy())
+    return found
+
+
+def held_out_losses(assessment: Assessment) -> dict[str, float]:
+    """Behavioural-cloning loss on held-out trajectories, by domain (Eq. 1)."""
+    pairs = held_out_predictions(assessment)
+    return {f"val/bc_{d}": float(((p - a) ** 2).sum(axis=1).mean()) for d, (p, a) in pairs.items()}
+
+
+def predict_actions(assessment: Assessment, path: Path) -> str:
+    """Write ``<domain>/predicted`` and ``<domain>/demonstrated`` to an .npz file; say what was written."""
+    pairs = held_out_predictions(assessment)
+    arrays = {
+        f"{d}/{name}": x
+        for d, pair in pairs.items()
+        for name, x in zip(("predicted", "demonstrated"), pair, strict=True)
+    }
+    with locked_folder(path.resolve().parent), replacing(path.resolve()) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
+    return f"{path}: {sum(len(p) for p, _ in pairs.values())} steps of {', '.join(pairs)}"

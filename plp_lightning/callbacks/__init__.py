@@ -1,0 +1,1 @@
+"""CALLBACKS: what happens around training steps; they join phases with evaluation."""

@@ -1,0 +1,95 @@
+"""Checkpoints that are complete or absent, hold plain data only and can be gone on from exactly."""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lightning.fabric.plugins.io import TorchCheckpointIO
+from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint
+
+from datamodules.atomic import locked_folder, replacing
+from datamodules.errors import CheckpointError
+
+
+class AtomicCheckpointIO(TorchCheckpointIO):
+    """Writes beside the final place, syncs, then moves; Lightning's own copy can be seen half written."""
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
+    ) -> None:
+        """Write ``checkpoint`` to ``path`` in one visible step."""
+        final = Path(path)
+        final.parent.mkdir(parents=True, exist_ok=True)
+        with locked_folder(final.parent), replacing(final) as temporary:
+            torch.save(checkpoint, temporary)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Load a checkpoint that holds nothing but tensors and plain data.
+
+    Raises:
+        CheckpointError: If it is missing, damaged, no checkpoint of this project, or would run code.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint; name a run directory with checkpoints/last.ckpt in a phase")
+    try:
+        checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises many kinds for a damaged or hostile file
+        reason = str(error).replace("\n", " ").split(". ")[0][:160]
+        raise CheckpointError(f"{path}: not a plain checkpoint ({reason}); use one written by plp fit") from None
+    if not isinstance(checkpoint, dict) or not {"policy", "state_dict"} <= checkpoint.keys():
+        raise CheckpointError(f"{path}: has no 'policy' and 'state_dict'; use a checkpoint written by plp fit")
+    return checkpoint
+
+
+class RandomState(Callback):
+    """Carries the random state over an interruption.
+
+    It is put back at the first batch after loading, because building loaders draws random numbers too.
+    """
+
+    def __init__(self) -> None:
+        self.loaded: dict[str, Any] | None = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """States of torch, Python and numpy as plain data."""
+        name, keys, *rest = np.random.get_state(legacy=True)
+        return {"torch": torch.get_rng_state(), "python": random.getstate(), "numpy": (name, keys.tolist(), *rest)}  # type: ignore[union-attr]
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Keep the states until training goes on."""
+        self.loaded = state_dict
+
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
+        """Put the loaded states back, once."""
+        if self.loaded is None:
+            return
+        torch.set_rng_state(self.loaded["torch"])
+        version, internal, gauss = self.loaded["python"]
+        random.setstate((version, tuple(internal), gauss))
+        name, keys, position, has_gauss, cached = self.loaded["numpy"]
+        np.random.set_state((name, np.array(keys, dtype=np.uint32), position, has_gauss, cached))
+        self.loaded = None
+
+
+def best_and_last(folder: Path) -> list[ModelCheckpoint]:
+    """``best.ckpt`` by held-out loss and ``last.ckpt``; one callback for both would let "last" fall behind."""
+    best = ModelCheckpoint(
+        dirpath=folder, filename="best", monitor="val/bc", save_top_k=1, enable_version_counter=False
+    )
+    last = ModelCheckpoint(
+        dirpath=folder,
+        filename="last",
+        monitor=None,
+        save_top_k=1,
+        every_n_epochs=1,
+        save_on_train_epoch_end=True,
+        enable_version_counter=False,
+    )
+    return [best, last]

@@ -1,0 +1,77 @@
+"""Frozen means frozen: proven by hash, not by trust."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+from lightning.pytorch import Callback, LightningModule, Trainer
+from torch import nn
+
+from plp_lightning.phases import Phase
+
+
+class FrozenPartsChangedError(RuntimeError):
+    """A part that a phase declares frozen came out of training different."""
+
+
+def module_hash(module: nn.Module) -> str:
+    """SHA-256 over names, shapes and bytes of a module's parameters and buffers."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(module.state_dict().items()):
+        digest.update(f"{name}{tuple(tensor.shape)}".encode())
+        digest.update(tensor.detach().cpu().contiguous().numpy().data)
+    return digest.hexdigest()
+
+
+class FreezeGuard(Callback):
+    """Freezes what a phase declares frozen, and hashes it before and after.
+
+    ``requires_grad = False`` alone would let buffers move and leave dropout on, so the parts are also kept
+    in eval mode. The first hashes travel in the checkpoint: a resumed run is held to those of its beginning.
+    """
+
+    def __init__(self) -> None:
+        self.before: dict[str, str] = {}
+
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Freeze, then hash or compare with the hashes that a checkpoint brought."""
+        for module in _frozen(pl_module).values():
+            module.requires_grad_(False)
+        now = self._hashes(pl_module)
+        self.before = self.before or now
+        self._compare(now)
+
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Back to eval mode, whatever has called ``train()`` since."""
+        for module in _frozen(pl_module).values():
+            module.eval()
+
+    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Compare.
+
+        Raises:
+            FrozenPartsChangedError: If a frozen parameter or buffer differs from before.
+        """
+        self._compare(self._hashes(pl_module))
+
+    def state_dict(self) -> dict[str, Any]:
+        """The hashes from before training."""
+        return {"before": self.before}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over the hashes from before the interruption."""
+        self.before = state_dict["before"]
+
+    def _compare(self, now: dict[str, str]) -> None:
+        changed = [name for name, value in now.items() if value != self.before.get(name)]
+        if changed:
+            raise FrozenPartsChangedError(f"frozen parts changed during training: {', '.join(changed)}")
+
+    @staticmethod
+    def _hashes(phase: LightningModule) -> dict[str, str]:
+        return {name: module_hash(module) for name, module in _frozen(phase).items()}
+
+
+def _frozen(phase: LightningModule) -> dict[str, nn.Module]:
+    return phase.frozen if isinstance(phase, Phase) else {}

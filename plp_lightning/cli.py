@@ -1,0 +1,72 @@
+"""``plp``: the verbs. Light ones never import torch, so that help and file inspection answer at once."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+
+from datamodules.errors import ConfigError, UserError
+
+VERBS = {
+    "fit": ("plp_lightning.commands:run_fit", "train every phase of a method, evaluate, report"),
+    "collect": ("plp_lightning.commands:run_collect", "collect the demonstrations that an experiment lacks"),
+    "validate": ("plp_lightning.commands:run_validate", "held-out losses and alignment scores of a run"),
+    "test": ("plp_lightning.commands:run_test", "success rates of a run in the simulators"),
+    "predict": ("plp_lightning.commands:run_predict", "actions of a run's policy on held-out trajectories"),
+    "data": ("plp_lightning.data_commands:run_data", "inspect or validate a trajectory file"),
+}
+
+USAGE = """usage: plp VERB [options]
+
+Cross-domain policy transfer by representation alignment.
+
+verbs:
+{verbs}
+
+The main job: plp fit --config configs/r2r.yaml
+Options of a verb: plp VERB --help"""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a verb; a user's mistake is one line on standard error and exit code 2."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(USAGE.format(verbs="\n".join(f"  {name:9} {text}" for name, (_, text) in VERBS.items())))
+        return
+    if words[0] == "--version":
+        print(f"plp {importlib.import_module('importlib.metadata').version('plp-lightning')}")
+        return
+    # Several runs at once must not fight for cores; set before any library starts its threads.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    try:
+        find_verb(words[0])(words[1:])
+    except UserError as error:
+        print(f"plp: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)
+    except Exception as error:
+        # Asked to stop by a signal: the state is saved, and a scheduler reads the exit code.
+        if not hasattr(error, "exit_code"):
+            raise
+        print(f"plp: {error}; go on with plp fit --resume RUN_DIR", file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+def find_verb(name: str) -> Callable[[Sequence[str]], None]:
+    """The function behind a verb.
+
+    Raises:
+        ConfigError: If there is no such verb.
+    """
+    if name not in VERBS:
+        near = difflib.get_close_matches(name, VERBS, n=1)
+        raise ConfigError(f"unknown verb {name!r}; " + (f"did you mean {near[0]!r}?" if near else "see plp --help"))
+    module, function = VERBS[name][0].split(":")
+    verb: Callable[[Sequence[str]], None] = getattr(importlib.import_module(module), function)
+    return verb
+
+
+if __name__ == "__main__":
+    main()

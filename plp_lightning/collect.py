@@ -1,0 +1,185 @@
+"""Experts in simulators → demonstrations in a trajectory file, in parallel processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shlex
+import sys
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datamodules.errors import UserError
+from datamodules.hdf5 import TrajectoryFile, add_trajectories
+from datamodules.types import Observation, Trajectory
+from plp_lightning.envs.base import Domain
+from plp_lightning.envs.rollout import rollout
+from plp_lightning.progress import JobProgress
+from plp_lightning.seeding import episode_seed
+from plp_lightning.versions import versions
+
+_domains: Mapping[str, Domain] = {}
+"""In a collecting process: the experiment's domains, whose simulators are built once for each process."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How demonstrations are made.
+
+    Args:
+        processes: Processes that collect; 0 means one for each core.
+        linger: Control steps that are recorded after success, so that the end is held.
+        noise: Standard deviation of noise on executed actions; the recorded action stays the expert's.
+        seed: Seed of all initial states. It is no part of a run's seed: runs share their data.
+        attempts: Attempts for each wanted demonstration before the expert is called unfit.
+    """
+
+    processes: int = 0
+    linger: int = 5
+    noise: float = 0.0
+    seed: int = 0
+    attempts: int = 3
+
+
+@dataclass(frozen=True)
+class Job:
+    """Demonstrations of one task in one domain that are wanted."""
+
+    domain: str
+    task: str
+    count: int
+    known_seeds: frozenset[int]
+    """Seeds of demonstrations that the file already holds."""
+
+
+class ExpertCollector:
+    """Fills a trajectory file with demonstrations by the domains' experts; only successes are kept.
+
+    Which demonstrations result depends on the recipe alone, not on how many processes made them.
+
+    Args:
+        domains: Simulators and experts by domain.
+        recipe: How demonstrations are made.
+    """
+
+    def __init__(self, domains: Mapping[str, Domain], recipe: Recipe) -> None:
+        self.domains, self.recipe = domains, recipe
+
+    def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+        """Add ``missing[domain][task]`` demonstrations to the file at ``path``."""
+        without = [name for name in missing if self.domains[name].expert is None]
+        if without:
+            raise UserError(f"domain {without[0]!r} has no expert; add one or import demonstrations into {path}")
+        first = next(iter(self.domains.values())).simulator
+        specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
+        add_trajectories(path, specs, first.tasks, list(self._collect(self._jobs(path, missing))), self._provenance())
+
+    def _jobs(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> list[Job]:
+        known: dict[str, frozenset[int]] = {}
+        if path.exists():
+            with TrajectoryFile.open(path) as file:
+                known = {s.name: frozenset(map(int, file.episodes(s.name).seed)) for s in file.domains}
+        pairs = [(domain, task, n) for domain, tasks in missing.items() for task, n in tasks.items()]
+        return [Job(domain, task, n, known.get(domain, frozenset())) for domain, task, n in pairs]
+
+    def _collect(self, jobs: list[Job]) -> Iterator[Trajectory]:
+        total, processes = sum(job.count for job in jobs), self.recipe.processes or os.cpu_count() or 1
+        with (
+            JobProgress("collecting", total, "demonstrations") as progress,
+            ProcessPoolExecutor(
+                min(processes, len(jobs)), multiprocessing.get_context("spawn"), _begin_process, (self.domains,)
+            ) as pool,
+        ):
+            futures: dict[Future[list[Trajectory]], Job] = {pool.submit(demonstrate, j, self.recipe): j for j in jobs}
+            for future in as_completed(futures):
+                made = future.result()
+                progress.advance(len(made), f"{futures[future].domain} {futures[future].task}")
+                yield from made
+
+    def _provenance(self) -> dict[str, object]:
+        experts = {name: type(domain.expert).__name__ for name, domain in self.domains.items()}
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        return {"command": command, "recipe": vars(self.recipe), "experts": experts, "versions": versions()}
+
+
+def _begin_process(domains: Mapping[str, Domain]) -> None:
+    """Physics of one process stays on one thread: the processes share the cores."""
+    globals()["_domains"] = domains
+    for domain in domains.values():
+        domain.simulator.threads = 1
+
+
+def demonstrate(job: Job, recipe: Recipe) -> list[Trajectory]:
+    """The first ``job.count`` successes among the attempts, in the order of the attempts.
+
+    Raises:
+        UserError: If the expert fails so often that ``recipe.attempts`` times the wanted number don't suffice.
+    """
+    made: list[Trajectory] = []
+    attempt = 0
+    while len(made) < job.count:
+        if attempt >= recipe.attempts * job.count + 10:
+            raise UserError(
+                f"expert of domain {job.domain!r} solved task {job.task!r} {len(made)} times in {attempt} attempts; "
+                f"{job.count} demonstrations were asked for; mend the expert or raise --collection.attempts"
+            )
+        wave = range(attempt, attempt + max(4, job.count - len(made)))
+        seeds = [episode_seed("collect", recipe.seed, job.domain, job.task, i) for i in wave]
+        made += _attempt(job, [seed for seed in seeds if seed not in job.known_seeds], recipe)
+        attempt = wave.stop
+    return made[: job.count]
+
+
+def _attempt(job: Job, seeds: list[int], recipe: Recipe) -> list[Trajectory]:
+    domain = _domains[job.domain]
+    if not seeds:
+        return []
+    tasks = [job.task] * len(seeds)
+    recorder = Recorder(domain, tasks, seeds, recipe.noise)
+    episodes = rollout(domain.simulator, recorder.act, tasks, seeds, recipe.linger)
+    solved = np.flatnonzero(episodes.success)
+    return [
+        Trajectory(job.domain, job.task, *recorder.episode(int(i)), seed=seeds[int(i)], success=True) for i in solved
+    ]
+
+
+class Recorder:
+    """Lets an expert act and writes down what it saw and did.
+
+    Args:
+        domain: Who acts, and where.
+        tasks: Task of each episode.
+        seeds: Seed of each episode, also of its noise.
+        noise: Standard deviation of noise on the executed action.
+    """
+
+    def __init__(self, domain: Domain, tasks: list[str], seeds: list[int], noise: float) -> None:
+        assert domain.expert is not None
+        self.expert, self.noise = domain.expert, noise
+        self.begin = lambda: self.expert.begin(domain.simulator, tasks, seeds)
+        self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
+        self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
+
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        """The expert's actions, with noise if asked for."""
+        if not self.steps:
+            self.begin()
+        actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
+        self.steps.append((episodes, observation, actions))
+        if self.noise == 0:
+            return actions
+        shaken = [self.generators[e].normal(0, self.noise, actions.shape[1]) for e in episodes]
+        noisy: np.ndarray = np.clip(actions + np.array(shaken, dtype=np.float32), -1, 1)
+        return noisy
+
+    def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
+        """Observations ``(T, …)`` and actions ``(T, A)`` of one episode."""
+        spots = [(step, np.searchsorted(step[0], index)) for step in self.steps]
+        rows = [(obs.take(i), actions[i]) for (ids, obs, actions), i in spots if i < len(ids) and ids[i] == index]
+        states = np.stack([obs.state for obs, _ in rows])
+        images = [obs.image for obs, _ in rows if obs.image is not None]
+        return Observation(states, np.stack(images) if images else None), np.stack([action for _, action in rows])

@@ -1,0 +1,192 @@
+"""Configuration files and command-line overrides → an experiment. All of jsonargparse lives here."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from jsonargparse import ArgumentParser, Namespace, set_parsing_settings
+from lightning.pytorch import Callback, Trainer
+
+from datamodules.errors import ConfigError
+from datamodules.transfer import TransferDataModule
+from plp_lightning import callbacks, envs, experts  # noqa: F401  (short class names work once these are imported)
+from plp_lightning.allowlist import ALLOWED_IMPORTS
+from plp_lightning.callbacks.latent_picture import LatentPicture  # noqa: F401
+from plp_lightning.collect import ExpertCollector, Recipe
+from plp_lightning.envs.base import Domain
+from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.experiment import EvaluationPlan, Experiment, PhaseFactory, PolicyFactory, check_roles
+
+BASE = Path(__file__).parent / "configs" / "base.yaml"
+LINKED = {"path", "tasks", "proxies", "target_tasks", "domains", "seed", "collector"}
+"""Arguments of the DataModule that follow from others."""
+OURS = {
+    "callbacks",
+    "logger",
+    "max_epochs",
+    "default_root_dir",
+    "enable_checkpointing",
+    "enable_progress_bar",
+    "plugins",
+}
+"""Arguments of the Trainer that a run sets itself."""
+
+
+def parse(arguments: Sequence[str]) -> Experiment:
+    """Read configuration files and overrides, and build the experiment.
+
+    Args:
+        arguments: As on the command line: ``--config FILE`` (repeatable), ``--data.target NAME``, …
+
+    Raises:
+        ConfigError: If anything in them is wrong; one line that names it.
+    """
+    allow_imports([*ALLOWED_IMPORTS, *option_values(arguments, "allow_imports")])
+    parser = build_parser(phase_names(arguments))
+    try:
+        config = parser.parse_args(list(arguments), defaults=True)
+    except argparse.ArgumentError as error:
+        raise ConfigError(explain(str(error), parser)) from None
+    return build(parser, config)
+
+
+def build_parser(phases: Sequence[str]) -> ArgumentParser:
+    """Parser for an experiment whose method has these phases; each phase is a key of its own."""
+    parser = ArgumentParser(prog="plp fit", exit_on_error=False, default_config_files=[str(BASE)])
+    parser.add_argument("--config", action="config", help="YAML file; give several, later ones win")
+    parser.add_argument("--allow_imports", type=str | None, help="package of yours whose classes configs may name")
+    parser.add_argument("--experiment", type=str | None, help="name; the first config's file name if not given")
+    parser.add_argument("--method", type=str, help="name of the method, for the run directory")
+    parser.add_argument("--seed", type=int, default=0, help="seed of initial weights, batches and evaluation")
+    parser.add_argument("--threads", type=int, default=1, help="threads of torch; simulators use all cores anyway")
+    parser.add_argument("--run_root", type=str, default="runs", help="where run directories go")
+    parser.add_argument("--domains", type=dict[str, Domain], help="simulator and expert of each domain")
+    parser.add_class_arguments(TransferDataModule, "data", skip=LINKED, instantiate=False)
+    parser.add_argument(
+        "--data.root", type=str | None, help="folder of trajectory files; PLP_DATA or data if not given"
+    )
+    parser.add_argument("--data.file", type=str | None, help="trajectory file; <root>/<experiment>.hdf5 if not given")
+    parser.add_class_arguments(Recipe, "collection")
+    parser.add_argument("--policy", type=PolicyFactory, help="the policy's class and sizes")
+    parser.add_argument("--phases", type=list[str], help="phases of the method, in order; each is a key of its own")
+    for name in phases:
+        parser.add_argument(f"--{name}", type=PhaseFactory, help=f"phase {name}: class, losses, epochs, optimiser")
+    parser.add_class_arguments(EvaluationPlan, "evaluation")
+    parser.add_argument("--score", type=AlignmentScore | None, help="alignment score")
+    parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
+    parser.add_argument("--trainer.max_epochs", type=int | None, help="epochs of every phase, instead of its own")
+    parser.add_class_arguments(Trainer, "trainer", skip=OURS, instantiate=False)
+    return parser
+
+
+def allow_imports(packages: Sequence[str]) -> None:
+    """Let configurations name classes below ``packages`` and nothing else, nor files behind a URL."""
+    set_parsing_settings(
+        import_path_denylist=["*"], import_path_allowlist=list(packages), config_read_mode_fsspec_enabled=False
+    )
+
+
+def phase_names(arguments: Sequence[str]) -> list[str]:
+    """Phases that the given files and flags name; the last ``phases`` wins, as in any override."""
+    names: list[str] = []
+    for path in [str(BASE), *option_values(arguments, "config")]:
+        names = _read_yaml(Path(path)).get("phases", names)
+    for value in option_values(arguments, "phases"):
+        names = yaml.safe_load(value)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ConfigError(f"phases is {names!r}; expected a list of names, such as [alignment, adaptation]")
+    return names
+
+
+def option_values(arguments: Sequence[str], name: str) -> list[str]:
+    """Values of ``--name VALUE`` and ``--name=VALUE``, in order."""
+    following = [b for a, b in zip(arguments, arguments[1:], strict=False) if a == f"--{name}"]
+    return following or [a.split("=", 1)[1] for a in arguments if a.startswith(f"--{name}=")]
+
+
+def build(parser: ArgumentParser, config: Namespace) -> Experiment:
+    """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet."""
+    config.experiment = config.experiment or _experiment_name(config)
+    text = parser.dump(config.clone(), skip_none=False)
+    made = parser.instantiate(config)
+    for key in ("domains", "method"):
+        if not made[key]:
+            raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
+    return Experiment(
+        name=made.experiment,
+        method=made.method,
+        seed=made.seed,
+        threads=made.threads,
+        run_root=Path(made.run_root),
+        domains=made.domains,
+        data=_data(made),
+        policy=made.policy,
+        phases={name: made[name] for name in made.phases},
+        evaluation=made.evaluation,
+        score=made.score,
+        callbacks=made.callbacks,
+        trainer=dict(vars(made.trainer)),
+        config=text,
+    )
+
+
+def _data(made: Namespace) -> TransferDataModule:
+    settings: dict[str, Any] = dict(vars(made.data))
+    root, file = settings.pop("root"), settings.pop("file")
+    check_roles(made.domains, settings["source_domain"], settings["target_domain"])
+    simulator = made.domains[settings["source_domain"]].simulator
+    folder = Path(root or os.environ.get("PLP_DATA", "data"))
+    return TransferDataModule(
+        path=Path(file) if file else folder / f"{made.experiment}.hdf5",
+        tasks=simulator.tasks,
+        proxies=simulator.proxies(settings["target"]),
+        target_tasks=simulator.target_tasks(settings["target"]),
+        domains=list(made.domains),
+        seed=made.seed,
+        collector=ExpertCollector(made.domains, made.collection),
+        **settings,
+    )
+
+
+def _experiment_name(config: Namespace) -> str:
+    files = [Path(str(path)) for path in config.config or []]
+    named = [file.stem for file in files if file.parent.name != "methods"]
+    return named[0] if named else "unnamed"
+
+
+def _read_yaml(path: Path) -> Mapping[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"{path}: can't be read ({error.strerror}); name an existing YAML file") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: is no YAML ({' '.join(str(error).split())}); mend the file") from None
+    if content is not None and not isinstance(content, dict):
+        raise ConfigError(f"{path}: holds a {type(content).__name__}; expected keys and values, as in configs/r2r.yaml")
+    return content or {}
+
+
+def explain(message: str, parser: ArgumentParser) -> str:
+    """jsonargparse's many lines → one, with the nearest valid key."""
+    lines = [line.strip(" -") for line in message.splitlines() if line.strip()]
+    unknown = re.search(
+        r"(?:'([\w.]+)' is not (?:accepted|expected)|nrecognized arguments: --?([\w.]+)|Key '([\w.]+)')", message
+    )
+    told = next((line for line in lines if "not accepted" in line or "not expected" in line), " ".join(lines[:3]))
+    if unknown is None:
+        return told[:400]
+    name = next(group for group in unknown.groups() if group)
+    near = difflib.get_close_matches(name.split(".")[-1], _keys(parser), n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else "; see plp fit --help"
+    return told[:300] + hint
+
+
+def _keys(parser: ArgumentParser) -> list[str]:
+    return sorted({part for action in parser._actions for part in action.dest.split(".")})

@@ -1,0 +1,111 @@
+"""Domains with a known answer: one point in the plane, seen and moved through a different linear map in each.
+
+All domains share the latent state p in the plane and the latent action u, a velocity. A domain shows
+``A p + b`` for its own injective A and takes ``R u`` for its own rotation R, so the maps that a transfer
+has to find exist, are linear and are known. They make every part of the framework run in seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from datamodules.errors import UserError
+from datamodules.types import DomainSpec, Observation, ObservationKey
+from plp_lightning.envs.base import Expert, Simulator, Step
+
+GOALS = 8
+"""Goals on the unit circle; a task is one of them."""
+RADIUS = 0.15
+"""An episode succeeds within this distance of its goal."""
+STRIDE = 0.1
+"""Distance that a full action moves the point in one control step."""
+
+
+class LinearPoint(Simulator):
+    """A point in the plane behind a linear map.
+
+    Args:
+        map_seed: Chooses the maps of this domain.
+        state_size: O, at least 2.
+        horizon: Control steps of an episode.
+    """
+
+    threads = 1
+
+    def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40) -> None:
+        self.map_seed, self.state_size, self.horizon = map_seed, state_size, horizon
+        rng = np.random.default_rng(map_seed)
+        self.lift = np.linalg.qr(rng.normal(size=(state_size, 2)))[0]
+        self.shift = rng.normal(size=state_size)
+        angle = rng.uniform(0, 2 * np.pi)
+        self.rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """``goal_0`` to ``goal_7``, counter-clockwise."""
+        return tuple(f"goal_{i}" for i in range(GOALS))
+
+    def proxies(self, target: str) -> tuple[str, ...]:
+        """All other goals."""
+        if target not in self.tasks:
+            raise UserError(f"unknown task {target!r}; the tasks are {', '.join(self.tasks)}")
+        return tuple(task for task in self.tasks if task != target)
+
+    def spec(self, name: str) -> DomainSpec:
+        """The lifted position; two actions."""
+        keys = (ObservationKey("position", (self.state_size,)),)
+        return DomainSpec(name, keys, 2, control_hz=10.0, env=f"LinearPoint({self.map_seed})")
+
+    def shared_position(self, state: np.ndarray) -> np.ndarray:
+        """The point in the plane, ``(N, 2)``."""
+        plane: np.ndarray = (state - self.shift) @ self.lift
+        return plane
+
+    def goal(self, task: str) -> np.ndarray:
+        """The task's goal in the plane."""
+        angle = 2 * np.pi * self.tasks.index(task) / GOALS
+        return np.array([np.cos(angle), np.sin(angle)])
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Points near the centre."""
+        self.goals = np.array([self.goal(task) for task in tasks])
+        self.point = np.array([np.random.default_rng(seed).uniform(-0.3, 0.3, 2) for seed in seeds])
+        return self._observe(np.arange(len(tasks)))
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        """Move by the action turned back into the plane."""
+        invalid = ~np.isfinite(actions).all(axis=1)
+        clean = np.clip(np.nan_to_num(actions), -1, 1)
+        self.point[episodes] += STRIDE * clean @ self.rotation
+        distance = np.linalg.norm(self.point[episodes] - self.goals[episodes], axis=1)
+        return Step(self._observe(episodes), (distance < RADIUS) & ~invalid, invalid)
+
+    def _observe(self, episodes: np.ndarray) -> Observation[np.ndarray]:
+        return Observation((self.point[episodes] @ self.lift.T + self.shift).astype(np.float32))
+
+
+class LinearPointExpert(Expert):
+    """Goes straight to the goal, slower when it is near; it inverts the domain's maps.
+
+    Args:
+        gain: Action for each unit of distance.
+    """
+
+    def __init__(self, gain: float = 2.0) -> None:
+        self.gain = gain
+
+    def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
+        """Look up the goals and the maps."""
+        if not isinstance(simulator, LinearPoint):
+            raise UserError(f"LinearPointExpert demonstrates in LinearPoint only, not in {type(simulator).__name__}")
+        self.simulator, self.goals = simulator, np.array([simulator.goal(task) for task in tasks])
+
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        """The clipped velocity towards the goal, in the domain's own action frame."""
+        point = (observation.state - self.simulator.shift) @ self.simulator.lift
+        velocity = self.gain * (self.goals[episodes] - point)
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+        actions: np.ndarray = (velocity / np.maximum(1, speed)) @ self.simulator.rotation.T
+        return actions

@@ -1,0 +1,87 @@
+"""Success rates of a policy in the domains' simulators, on the target task and on proxy tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from datamodules.types import Observation
+from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.rollout import Episodes, rollout
+from plp_lightning.evaluation.statistics import success_interval
+from plp_lightning.seeding import episode_seed
+
+
+class Acting(Protocol):
+    """All that an evaluation asks of a policy."""
+
+    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
+        """Actions ``(B, A)`` for B observations of one domain, each with the name of its task."""
+        ...
+
+
+@dataclass(frozen=True)
+class Success:
+    """Outcome of one set of episodes.
+
+    Args:
+        success: Share of successful episodes; invalid ones count as failed.
+        episodes: How many were run.
+        invalid: How many diverged.
+        interval: 95 % Wilson interval of the success rate.
+    """
+
+    success: float
+    episodes: int
+    invalid: int
+    interval: tuple[float, float]
+
+    @classmethod
+    def of(cls, episodes: Episodes) -> Success:
+        """Count."""
+        count, solved = len(episodes.success), int(episodes.success.sum())
+        return cls(solved / count, count, int(episodes.invalid.sum()), success_interval(solved, count))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists."""
+        return {**vars(self), "interval": list(self.interval)}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Which episodes to run: a domain and the tasks that take turns in it."""
+
+    domain: str
+    tasks: tuple[str, ...]
+
+
+def evaluate(policy: Acting, simulator: Simulator, trial: Trial, episodes: int, seed: int) -> Success:
+    """Run ``episodes`` of a trial at once.
+
+    Episode i always begins in the same state for a given seed, whatever else is run.
+
+    Args:
+        policy: Who acts, called once for each time step on the batch of running episodes.
+        simulator: The trial's domain.
+        trial: Domain and tasks.
+        episodes: How many; tasks take turns.
+        seed: Seed of the run.
+    """
+    tasks = [trial.tasks[i % len(trial.tasks)] for i in range(episodes)]
+    indices = [i // len(trial.tasks) for i in range(episodes)]
+    seeds = [episode_seed("evaluate", seed, trial.domain, t, i) for t, i in zip(tasks, indices, strict=True)]
+
+    def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
+        return policy.act(observation, trial.domain, [tasks[i] for i in running])
+
+    return Success.of(rollout(simulator, act, tasks, seeds))
+
+
+def evaluate_all(
+    policy: Acting, simulators: Mapping[str, Simulator], trials: Mapping[str, Trial], episodes: int, seed: int
+) -> dict[str, Success]:
+    """Outcome of every trial, by its name."""
+    return {name: evaluate(policy, simulators[t.domain], t, episodes, seed) for name, t in trials.items()}

@@ -1,0 +1,152 @@
+"""The main job: demonstrations → every phase in order → evaluation → result table."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch import Callback, Trainer, seed_everything
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+
+from plp_lightning.callbacks.alignment_score import AlignmentMetrics
+from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
+from plp_lightning.callbacks.evaluation import SimulatorEvaluation
+from plp_lightning.callbacks.freezing import FreezeGuard
+from plp_lightning.callbacks.guard import FiniteGuard
+from plp_lightning.callbacks.preemption import Preemption
+from plp_lightning.callbacks.progress import PhaseProgress
+from plp_lightning.evaluation.simulation import evaluate_all
+from plp_lightning.experiment import Experiment
+from plp_lightning.phases import Phase
+from plp_lightning.policy import PortablePolicy
+from plp_lightning.results import log_hyperparameters, write_results
+from plp_lightning.run import RunDirectory
+
+
+def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: RunDirectory | None = None) -> None:
+    """Run the phases that are not done yet, one after the other.
+
+    A phase always begins from the last checkpoint of the one before, on disk, so that a run that was
+    interrupted anywhere takes the same way as an unbroken one.
+
+    Args:
+        experiment: What to run.
+        run: Where to keep it.
+        phases: Names of the phases to run, in order.
+        origin: Run whose phases stand in for those before the first of ``phases``.
+    """
+    torch.set_num_threads(experiment.threads)
+    run.update_status("running")
+    try:
+        collect(experiment, run)
+        for name in phases:
+            if run.phase_record(name).get("state") != "done":
+                run_phase(experiment, run, name, _weights_before(experiment, run, name, origin))
+    except BaseException as error:
+        run.update_status("preempted" if hasattr(error, "exit_code") else "failed")
+        raise
+    write_results(experiment, run)
+    run.update_status("done")
+
+
+def collect(experiment: Experiment, run: RunDirectory) -> None:
+    """Collect missing demonstrations and write down how long it took."""
+    began = time.monotonic()
+    experiment.data.prepare_data()
+    status = run.status()
+    status["collection_seconds"] = status.get("collection_seconds", 0.0) + time.monotonic() - began
+    run.write_json("status.json", status)
+
+
+def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None) -> None:
+    """Train one phase, from its own last checkpoint if it was interrupted, and evaluate what it gives.
+
+    Args:
+        experiment: What to run.
+        run: Where to keep it.
+        name: The phase.
+        weights: Checkpoint of the phase before; None for the first.
+    """
+    began, spent = time.monotonic(), run.phase_record(name).get("seconds", 0.0)
+    run.update_status("running", name, {"state": "running", "seconds": spent})
+    seed_everything(experiment.seed, workers=True, verbose=False)
+    policy = experiment.build_policy()
+    if weights is not None:
+        load_policy_weights(policy, weights)
+    phase = experiment.phases[name](policy)
+    trainer = build_trainer(experiment, run, name, phase)
+    last = run.checkpoint(name)
+    if last.exists():
+        read_checkpoint(last)
+    trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
+    record = {"state": "done", **assess(experiment, policy)}
+    log_hyperparameters(trainer, experiment, record)
+    run.update_status("running", name, record | {"seconds": spent + time.monotonic() - began})
+
+
+def build_trainer(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> Trainer:
+    """Lightning's Trainer with what every phase of this project needs around its steps."""
+    folder = run.phase(name)
+    settings = {key: value for key, value in experiment.trainer.items() if key != "max_epochs"}
+    return Trainer(
+        **settings,
+        max_epochs=experiment.trainer["max_epochs"] or phase.epochs,
+        default_root_dir=run.path,
+        logger=[
+            TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False),
+            CSVLogger(run.path, name=name, version=""),
+        ],
+        callbacks=[*_own_callbacks(experiment, run, name), *copy.deepcopy(list(experiment.callbacks))],
+        plugins=[AtomicCheckpointIO()],
+        enable_progress_bar=False,
+    )
+
+
+def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list[Callback]:
+    plan, simulators = experiment.evaluation, experiment.simulators
+    every = plan.every_n_epochs.get(name, 0)
+    found: list[Callback] = [
+        FreezeGuard(),
+        FiniteGuard(),
+        RandomState(),
+        SimulatorEvaluation(simulators, experiment.trials, plan.episodes, every, experiment.seed),
+    ]
+    if experiment.score is not None:
+        found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
+    return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(run.checkpoint(name).parent)]
+
+
+def assess(experiment: Experiment, policy: PortablePolicy) -> dict[str, Any]:
+    """Success in all trials and alignment scores of a policy, at the end of a phase."""
+    policy.eval()
+    plan = experiment.evaluation
+    outcomes = evaluate_all(policy, experiment.simulators, experiment.trials, plan.final_episodes, experiment.seed)
+    score = experiment.score
+    scores = {} if score is None else score(policy, experiment.data, experiment.simulators)
+    return {"trials": {name: outcome.to_dict() for name, outcome in outcomes.items()}, "alignment": scores}
+
+
+def load_policy_weights(policy: PortablePolicy, checkpoint: Path) -> None:
+    """Put the weights, scaling included, of a phase's checkpoint into ``policy``."""
+    state: Mapping[str, torch.Tensor] = read_checkpoint(checkpoint)["state_dict"]
+    prefix = "policy."
+    policy.load_state_dict({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+
+
+def _weights_before(experiment: Experiment, run: RunDirectory, name: str, origin: RunDirectory | None) -> Path | None:
+    names = list(experiment.phases)
+    position = names.index(name)
+    if position == 0:
+        return None
+    before = names[position - 1]
+    giver = run if run.checkpoint(before).exists() or origin is None else origin
+    weights = giver.checkpoint(before)
+    read_checkpoint(weights)
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    run.update_status("running", name, {"from": str(weights), "from_sha256": digest})
+    return weights

@@ -1,0 +1,103 @@
+"""The three parts of a portable latent policy, as plain torch modules (paper, Section 4.1 and appendix)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
+    """``layers`` hidden layers of ``hidden`` GELU units, then one linear layer."""
+    sizes = [inputs] + [hidden] * layers
+    blocks: list[nn.Module] = []
+    for size_in, size_out in zip(sizes, sizes[1:], strict=False):
+        blocks += [nn.Linear(size_in, size_out), nn.GELU()]
+    return nn.Sequential(*blocks, nn.Linear(sizes[-1], outputs))
+
+
+class StateEncoder(nn.Module):
+    """φ(s, d): padded, scaled state and one-hot domain → latent state s_z.
+
+    Args:
+        inputs: Width of the padded state and the domain id together.
+        latent: Z, size of the latent state.
+        hidden: Units in a hidden layer.
+        layers: Hidden layers.
+    """
+
+    def __init__(self, inputs: int, latent: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.net = mlp(inputs, hidden, layers, latent)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``(B, inputs)`` → ``(B, Z)``."""
+        latent: Tensor = self.net(x)
+        return latent
+
+
+class CommonPolicy(nn.Module):
+    """π_z(s_z, k): latent state and one-hot task → latent action a_z. Knows no domain.
+
+    Args:
+        latent: Z, size of latent states and latent actions.
+        tasks: K, number of task ids; ids of tasks to come have their place from the start.
+        hidden: Units in a hidden layer.
+        layers: Hidden layers.
+    """
+
+    def __init__(self, latent: int, tasks: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.tasks = tasks
+        self.net = mlp(latent + tasks, hidden, layers, latent)
+
+    def forward(self, latent: Tensor, task: Tensor) -> Tensor:
+        """``(B, Z)`` and int64 ``(B,)`` → ``(B, Z)``."""
+        one_hot = nn.functional.one_hot(task, self.tasks).to(latent.dtype)
+        plan: Tensor = self.net(torch.cat([latent, one_hot], dim=-1))
+        return plan
+
+
+class ActionDecoder(nn.Module):
+    """ψ(a_z, s, d): latent action, domain id and, if wished, state → action in [-1, 1].
+
+    Args:
+        latent: Z, size of latent actions.
+        context: Width of what the decoder sees beside the latent action.
+        actions: Size of the largest domain's action.
+        hidden: Units in a hidden layer.
+        layers: Hidden layers.
+    """
+
+    def __init__(self, latent: int, context: int, actions: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.net = mlp(latent + context, hidden, layers, actions)
+
+    def forward(self, plan: Tensor, context: Tensor) -> Tensor:
+        """``(B, Z)`` and ``(B, context)`` → ``(B, actions)``."""
+        return torch.tanh(self.net(torch.cat([plan, context], dim=-1)))
+
+
+class DomainDiscriminator(nn.Module):
+    """Tells from a latent state which domain it came from (paper, ablation "-disc": four hidden layers).
+
+    Args:
+        latent: Z, size of latent states.
+        domains: D, number of domains.
+        hidden: Units in a hidden layer.
+        layers: Hidden layers.
+    """
+
+    def __init__(self, latent: int, domains: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.net = mlp(latent, hidden, layers, domains)
+
+    def forward(self, latent: Tensor) -> Tensor:
+        """``(B, Z)`` → logits ``(B, D)``; gradients reach the discriminator."""
+        logits: Tensor = self.net(latent)
+        return logits
+
+    def judge(self, latent: Tensor) -> Tensor:
+        """The same logits with gradients that reach the latent state alone."""
+        fixed = {name: parameter.detach() for name, parameter in self.named_parameters()}
+        logits: Tensor = torch.func.functional_call(self, fixed, (latent,))
+        return logits

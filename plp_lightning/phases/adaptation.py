@@ -1,0 +1,65 @@
+"""ADAPTATION: only the common policy learns the new task, from the source domain (paper, Section 4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.transfer import Demand
+from datamodules.types import Batch
+from plp_lightning.losses import behavioural_cloning
+from plp_lightning.phases.base import Phase
+from plp_lightning.policy import PortablePolicy
+
+
+class Adaptation(Phase):
+    """Behavioural cloning of the target task with encoder and decoder frozen (paper, Eq. 6, Algorithm 2).
+
+    The encoder never changes here, so the latent state of every step is computed once, when the phase
+    begins, and looked up by row from then on.
+
+    Args:
+        policy: The aligned policy.
+        epochs: Passes over the target task's data and its mix.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+    """
+
+    demand: Demand = "mix"
+
+    def __init__(self, policy: PortablePolicy, epochs: int = 50, lr: float = 1e-4, weight_decay: float = 0.0) -> None:
+        super().__init__(policy, epochs, lr, weight_decay)
+        self.latents: dict[str, Tensor] = {}
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """Everything but the common policy."""
+        return {"scaler": self.policy.scaler, "encoder": self.policy.encoder, "decoder": self.policy.decoder}
+
+    def trained_parameters(self) -> Iterable[nn.Parameter]:
+        """The common policy's."""
+        return self.policy.common.parameters()
+
+    @torch.no_grad()
+    def on_fit_start(self) -> None:
+        """Encode every step of every domain, in chunks that fit."""
+        for domain, table in self.trainer.datamodule.tables.items():  # type: ignore[attr-defined]
+            chunks = torch.arange(len(table)).split(8192)
+            parts = [self._encode(domain, table.take(rows).observation) for rows in chunks]
+            self.latents[domain] = torch.cat(parts)
+
+    def _encode(self, domain: str, observation: object) -> Tensor:
+        batch = self.policy.encode({domain: self.trainer.strategy.batch_to_device(observation)})
+        return batch[domain]
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Behavioural cloning on the target task and the mixed-in alignment data."""
+        steps = batch.transitions
+        latent = {domain: self.latents[domain][s.row] for domain, s in steps.items()}
+        plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
+        action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
+        loss = behavioural_cloning(action, {domain: s.action for domain, s in steps.items()})
+        self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
+        return loss

@@ -1,0 +1,111 @@
+"""ALIGNMENT: all parts learn from proxy tasks in every domain (paper, Section 4.1, Algorithm 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from datamodules.transfer import Demand
+from datamodules.types import Batch, Observation, Sequences
+from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, tcc
+from plp_lightning.networks import DomainDiscriminator
+from plp_lightning.phases.base import Phase
+from plp_lightning.policy import PortablePolicy
+
+Term = Literal["mmd", "tcc", "adversarial"]
+
+
+class Alignment(Phase):
+    """Multi-domain behavioural cloning plus terms that align the latent states.
+
+    L_align = L_BC + λ_MMD L_MMD + λ_TCC L_TCC (paper, Eq. 5), or with a domain discriminator in place of
+    MMD. The experiment sets the weights, the method chooses the terms.
+
+    Args:
+        policy: The policy to train.
+        terms: Alignment terms beside behavioural cloning.
+        mmd_weight: λ_MMD.
+        tcc_weight: λ_TCC.
+        adversarial_weight: Weight of the encoder's loss against the discriminator.
+        tcc_similarity: First softmax of TCC: distances as printed in the paper, squared, or squared and scaled.
+        discriminator_layers: Hidden layers of the discriminator.
+        discriminator_hidden: Units in its hidden layers.
+        epochs: Passes over the largest domain's proxy data.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+    """
+
+    def __init__(
+        self,
+        policy: PortablePolicy,
+        terms: list[Term],
+        mmd_weight: float = 0.1,
+        tcc_weight: float = 0.2,
+        adversarial_weight: float = 0.1,
+        tcc_similarity: Literal["distance", "squared", "scaled"] = "distance",
+        discriminator_layers: int = 4,
+        discriminator_hidden: int = 192,
+        epochs: int = 100,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay)
+        self.weights: dict[str, float] = {"mmd": mmd_weight, "tcc": tcc_weight, "adversarial": adversarial_weight}
+        self.terms, self.tcc_similarity = tuple(terms), tcc_similarity
+        self.demand: Demand = "pairs" if "tcc" in terms else "proxies"
+        self.discriminator = (
+            DomainDiscriminator(policy.latent_size, len(policy.domains), discriminator_hidden, discriminator_layers)
+            if "adversarial" in terms
+            else None
+        )
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Total loss of one batch, from a single pass through the encoder."""
+        steps, pairs = batch.transitions, batch.pairs
+        encoded = self.policy.encode({d: _with_frames(s.observation, pairs.get(d)) for d, s in steps.items()})
+        latent = {domain: encoded[domain][: len(s.action)] for domain, s in steps.items()}
+        plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
+        action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
+        parts = {"bc": behavioural_cloning(action, {domain: s.action for domain, s in steps.items()})}
+        parts |= self._alignment_terms(list(latent.values()))
+        if pairs:
+            parts["tcc"] = self._tcc([(encoded[d][len(steps[d].action) :], s) for d, s in pairs.items()])
+        total = torch.stack([self.weights.get(name, 1.0) * value for name, value in parts.items()]).sum()
+        self.log_parts(parts | {"loss": total, "latent_std": _spread(latent.values())}, self._size(batch))
+        return total
+
+    def _alignment_terms(self, latents: list[Tensor]) -> dict[str, Tensor]:
+        """Terms that compare the domains' latent distributions."""
+        parts: dict[str, Tensor] = {}
+        if "mmd" in self.terms:
+            parts["mmd"] = mmd(latents)
+        if self.discriminator is not None:
+            # Each loss reaches one player only, so one optimiser step serves both.
+            parts["discriminator"] = discrimination(self.discriminator, latents)
+            parts["adversarial"] = confusion(self.discriminator.judge, latents)
+        return parts
+
+    def _tcc(self, sequences: Sequence[tuple[Tensor, Sequences]]) -> Tensor:
+        (first, of_first), (second, of_second) = sequences
+        return tcc(first[of_first.index], of_first.mask, second[of_second.index], of_second.mask, self.tcc_similarity)
+
+    @staticmethod
+    def _size(batch: Batch) -> int:
+        return sum(len(steps.action) for steps in batch.transitions.values())
+
+
+def _with_frames(observation: Observation[Tensor], frames: Sequences | None) -> Observation[Tensor]:
+    if frames is None:
+        return observation
+    image = None
+    if observation.image is not None and frames.observation.image is not None:
+        image = torch.cat([observation.image, frames.observation.image])
+    return Observation(torch.cat([observation.state, frames.observation.state]), image)
+
+
+def _spread(latents: object) -> Tensor:
+    """Standard deviation of the latents over the batch: falls to zero if alignment shrinks the space."""
+    return torch.cat(list(latents)).detach().std(dim=0).mean()  # type: ignore[call-overload]

@@ -1,0 +1,79 @@
+"""What all phases share: a policy, an optimiser, the held-out loss and what their checkpoints hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import torch
+from lightning.pytorch import LightningModule
+from torch import Tensor, nn
+
+from datamodules.transfer import Demand
+from datamodules.types import Batch
+from plp_lightning.losses import behavioural_cloning
+from plp_lightning.policy import PortablePolicy
+
+
+class Phase(LightningModule):
+    """One training stage of a method, run by its own Trainer.
+
+    Args:
+        policy: The policy to train.
+        epochs: Passes over the phase's data.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW; torch's own default is not zero, the paper's is.
+    """
+
+    demand: Demand = "proxies"
+    """Which batches the DataModule shall give."""
+
+    def __init__(self, policy: PortablePolicy, epochs: int, lr: float, weight_decay: float = 0.0) -> None:
+        super().__init__()
+        self.policy = policy
+        self.epochs, self.lr, self.weight_decay = epochs, lr, weight_decay
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """Parts whose parameters and buffers must not change in this phase, by name."""
+        return {}
+
+    def trained_parameters(self) -> Iterable[nn.Parameter]:
+        """What the optimiser may change."""
+        return (parameter for parameter in self.parameters() if parameter.requires_grad)
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """AdamW, no schedule (paper, appendix), in its fused form: one pass over all parameters."""
+        parameters = list(self.trained_parameters())
+        return torch.optim.AdamW(parameters, lr=self.lr, weight_decay=self.weight_decay, fused=True)
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Behavioural-cloning loss on held-out trajectories, for each domain."""
+        for domain, steps in batch.transitions.items():
+            out = self.policy({domain: steps.observation}, {domain: steps.task})
+            loss = behavioural_cloning(out.action, {domain: steps.action})
+            size = len(steps.action)
+            self.log(f"val/bc_{domain}", loss, batch_size=size, on_epoch=True)
+            self.log("val/bc", loss, batch_size=size, on_epoch=True)
+
+    def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
+        """Losses of a training step, as ``train/<name>``, in the steps that loggers write down."""
+        if self.trainer.global_step % self.trainer.log_every_n_steps:
+            return
+        for name, value in parts.items():
+            self.log(f"train/{name}", value.detach(), batch_size=batch_size)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add what rebuilds the policy without the configuration: plain lists, strings and numbers."""
+        checkpoint["policy"] = {
+            "domains": [spec.to_dict() for spec in self.policy.domains.values()],
+            "tasks": list(self.policy.tasks),
+            "architecture": self.policy.architecture,
+        }
+
+    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
+        """Walk through a batch only if there is somewhere to move it."""
+        if device.type == "cpu":
+            return batch
+        moved: Batch = super().transfer_batch_to_device(batch, device, dataloader_idx)
+        return moved

@@ -1,0 +1,144 @@
+"""STATE ENCODER → COMMON POLICY → ACTION DECODER: the paper's figure in one screen.
+
+Domains of any number and size share one network: states and actions are padded to the largest domain,
+here and nowhere else, and a one-hot domain id goes into the encoder and the decoder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from datamodules.errors import ConfigError
+from datamodules.normalization import Scaling, Statistics
+from datamodules.types import DomainSpec, Observation
+from plp_lightning.networks import ActionDecoder, CommonPolicy, StateEncoder
+from plp_lightning.scaling import InputScaler
+
+Parts = Mapping[str, Tensor]
+"""One tensor by domain, with as many rows as the domain has in the batch."""
+
+
+class Forward(NamedTuple):
+    """What the policy makes of a batch."""
+
+    latent: dict[str, Tensor]
+    """s_z by domain, ``(B_d, Z)``."""
+    action: dict[str, Tensor]
+    """By domain, ``(B_d, A_d)``."""
+
+
+class PortablePolicy(nn.Module):
+    """The portable latent policy of the paper (Section 4.1): one network for all domains and tasks.
+
+    Args:
+        domains: What each domain looks like; their order is the domain id.
+        tasks: Names of all tasks, the target's included; their order is the task id.
+        statistics: Of raw states, by domain; without them a checkpoint has to bring the scaling.
+        latent: Z, size of latent states and latent actions.
+        hidden: Units in every hidden layer.
+        encoder_layers: Hidden layers of the state encoder.
+        policy_layers: Hidden layers of the common policy.
+        decoder_layers: Hidden layers of the action decoder.
+        decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys.
+        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        clip: Bound of z-scored inputs, in deviations.
+    """
+
+    def __init__(
+        self,
+        domains: Sequence[DomainSpec],
+        tasks: Sequence[str],
+        statistics: Mapping[str, Statistics] | None = None,
+        latent: int = 192,
+        hidden: int = 192,
+        encoder_layers: int = 3,
+        policy_layers: int = 4,
+        decoder_layers: int = 3,
+        decoder_state: Literal["none", "all"] | list[str] = "none",
+        scaling: dict[str, Scaling] | None = None,
+        clip: float = 5.0,
+    ) -> None:
+        super().__init__()
+        self.domains = {spec.name: spec for spec in domains}
+        self.tasks = {name: i for i, name in enumerate(tasks)}
+        self.latent_size = latent
+        self.architecture: dict[str, Any] = {
+            "latent": latent,
+            "hidden": hidden,
+            "encoder_layers": encoder_layers,
+            "policy_layers": policy_layers,
+            "decoder_layers": decoder_layers,
+            "decoder_state": decoder_state,
+            "scaling": scaling,
+            "clip": clip,
+        }
+        self.state_size = max(spec.state_size for spec in domains)
+        self.scaler = InputScaler(domains, statistics, scaling or {}, clip)
+        self.context_columns = {spec.name: _context_columns(spec, decoder_state) for spec in domains}
+        context = max(len(columns) for columns in self.context_columns.values()) + len(domains)
+        actions = max(spec.action_size for spec in domains)
+        self.encoder = StateEncoder(self.state_size + len(domains), latent, hidden, encoder_layers)
+        self.common = CommonPolicy(latent, len(tasks), hidden, policy_layers)
+        self.decoder = ActionDecoder(latent, context, actions, hidden, decoder_layers)
+
+    def encode(self, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
+        """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
+        states = [self._pad(self.scaler(obs.state, d), d, self.state_size) for d, obs in observation.items()]
+        return _split(self.encoder(torch.cat(states)), observation)
+
+    def decode(self, plan: Parts, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
+        """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
+        width = max(len(columns) for columns in self.context_columns.values())
+        context = [self._pad(self._context(obs, d), d, width) for d, obs in observation.items()]
+        actions = _split(self.decoder(torch.cat(list(plan.values())), torch.cat(context)), observation)
+        return {domain: action[:, : self.domains[domain].action_size] for domain, action in actions.items()}
+
+    def plan(self, latent: Parts, task: Parts) -> dict[str, Tensor]:
+        """π_z: latent actions ``(B_d, Z)`` by domain; the pass itself does not see the domain."""
+        joined = self.common(torch.cat(list(latent.values())), torch.cat([task[domain] for domain in latent]))
+        sizes = [len(part) for part in latent.values()]
+        return dict(zip(latent, joined.split(sizes), strict=True))
+
+    def forward(self, observation: Mapping[str, Observation[Tensor]], task: Parts) -> Forward:
+        """ψ(π_z(φ(s, d), k), s, d) for the rows of every domain."""
+        latent = self.encode(observation)
+        return Forward(latent, self.decode(self.plan(latent, task), observation))
+
+    @torch.inference_mode()
+    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
+        """Actions ``(B, A)`` for B observations of ``domain``, each with the name of its task."""
+        device = next(self.parameters()).device
+        seen = {domain: Observation(*(None if x is None else torch.as_tensor(x, device=device) for x in observation))}
+        ids = torch.tensor([self.tasks[name] for name in task], device=device)
+        actions: np.ndarray = self(seen, {domain: ids}).action[domain].cpu().numpy()
+        return actions
+
+    def _context(self, observation: Observation[Tensor], domain: str) -> Tensor:
+        return self.scaler(observation.state, domain)[:, self.context_columns[domain]]
+
+    def _pad(self, x: Tensor, domain: str, width: int) -> Tensor:
+        """``(B, n)`` → ``(B, width + D)``: zeros up to ``width``, then the one-hot domain id."""
+        padded = x.new_zeros(len(x), width + len(self.domains))
+        padded[:, : x.shape[1]] = x
+        padded[:, width + list(self.domains).index(domain)] = 1
+        return padded
+
+
+def _split(joined: Tensor, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
+    sizes = [len(obs.state) for obs in observation.values()]
+    return dict(zip(observation, joined.split(sizes), strict=True))
+
+
+def _context_columns(spec: DomainSpec, decoder_state: Literal["none", "all"] | list[str]) -> list[int]:
+    if decoder_state == "none":
+        return []
+    if decoder_state == "all":
+        return list(range(spec.state_size))
+    if isinstance(decoder_state, str):
+        raise ConfigError(f"decoder_state is {decoder_state!r}; expected 'none', 'all' or a list of observation keys")
+    return spec.columns(decoder_state)

@@ -1,0 +1,62 @@
+"""How far a long job is: a bar on a terminal, a plain line now and then in a log."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+SECONDS_BETWEEN_LINES = 10.0
+
+
+class JobProgress:
+    """Progress of one job of known size; use as a context manager.
+
+    Args:
+        label: What is going on, in a word or two.
+        total: Units of work.
+        unit: What is counted.
+    """
+
+    def __init__(self, label: str, total: int, unit: str) -> None:
+        self.label, self.total, self.unit = label, total, unit
+        self.done, self.began, self.last_line = 0, time.monotonic(), time.monotonic()
+        self.console = Console()
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(unit),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"),
+        )
+        self.bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
+        self.row = self.bar.add_task(label, total=total, note="")
+
+    def __enter__(self) -> JobProgress:
+        """Show the bar."""
+        self.bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the bar away, or leave a closing line in the log."""
+        self.bar.stop()
+        if kind is None and not self.console.is_terminal:
+            self._line("done")
+
+    def advance(self, count: int = 1, note: str = "") -> None:
+        """``count`` more units are done."""
+        self.done += count
+        self.bar.update(self.row, completed=self.done, note=note)
+        if not self.console.is_terminal and time.monotonic() - self.last_line > SECONDS_BETWEEN_LINES:
+            self._line(note)
+
+    def _line(self, note: str) -> None:
+        self.last_line = time.monotonic()
+        seconds = self.last_line - self.began
+        print(f"{self.label}: {self.done}/{self.total} {self.unit}, {seconds:.0f} s {note}".rstrip(), flush=True)

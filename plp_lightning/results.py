@@ -1,0 +1,105 @@
+"""What a run found: ``results.json``, the table on the screen, and TensorBoard's hyperparameter page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+from lightning.pytorch import Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+from rich.console import Console
+from rich.table import Table
+
+from plp_lightning.experiment import Experiment
+from plp_lightning.run import RunDirectory
+from plp_lightning.versions import versions
+
+ROWS = {
+    "target": "target task in target domain",
+    "source": "target task in source domain",
+    "proxy": "proxy tasks in target domain",
+    "proxy_source": "proxy tasks in source domain",
+}
+
+
+def write_results(experiment: Experiment, run: RunDirectory) -> dict[str, Any]:
+    """Gather the phases' records into ``results.json`` and print the table."""
+    records = [(name, run.phase_record(name)) for name in experiment.phases]
+    done = [(name, record) for name, record in records if record.get("state") == "done"]
+    last = done[-1][1]
+    before = done[-2][1]["trials"] if len(done) > 1 else {}
+    results = {
+        "experiment": experiment.name,
+        "method": experiment.method,
+        "target_task": experiment.data.target,
+        "seed": experiment.seed,
+        "phases": [name for name, _ in done],
+        **{trial: _with_before(outcome, before.get(trial)) for trial, outcome in last["trials"].items()},
+        "alignment": last["alignment"],
+        "seconds": {"collection": run.status().get("collection_seconds", 0.0)}
+        | {name: record["seconds"] for name, record in done},
+        "data_sha256": experiment.data.fingerprint,
+        "versions": versions(),
+    }
+    run.write_json("results.json", results)
+    print_results(results, run)
+    return results
+
+
+def _with_before(outcome: Mapping[str, Any], before: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {**outcome, "before": None if before is None else before["success"]}
+
+
+def print_results(results: Mapping[str, Any], run: RunDirectory) -> None:
+    """The result table."""
+    title = f"{results['experiment']} · {results['method']} · {results['target_task']} · seed {results['seed']}"
+    _print_table(results, title)
+    scores = ", ".join(f"{name} {value:.3f}" for name, value in results["alignment"].items())
+    times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
+    lines = f"alignment: {scores or 'not scored'}\ntime: {times}\nrun directory: {run.path}"
+    Console(soft_wrap=True).print(lines, highlight=False)
+
+
+def print_success(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
+    """Success rates of all trials."""
+    _print_table({name: {"before": None, **outcome} for name, outcome in outcomes.items()}, title)
+
+
+def _print_table(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
+    table = Table(title=title)
+    for column in ("success", "rate", "95 % interval", "before adaptation", "episodes", "invalid"):
+        table.add_column(column, justify="left" if column == "success" else "right")
+    for trial, label in ROWS.items():
+        table.add_row(label, *_cells(outcomes[trial]))
+    Console(width=None if Console().is_terminal else 110).print(table)
+
+
+def _cells(outcome: Mapping[str, Any]) -> list[str]:
+    low, high = outcome["interval"]
+    before = "–" if outcome["before"] is None else f"{outcome['before']:.2f}"
+    counts = [str(outcome["episodes"]), str(outcome["invalid"])]
+    return [f"{outcome['success']:.2f}", f"{low:.2f} – {high:.2f}", before, *counts]
+
+
+def log_hyperparameters(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any]) -> None:
+    """The flattened configuration with the final success rates, for TensorBoard's HPARAMS page."""
+    settings = _flat(yaml.safe_load(experiment.config))
+    metrics = {f"final/{name}_success": outcome["success"] for name, outcome in record["trials"].items()}
+    metrics |= {f"final/{name}": value for name, value in record["alignment"].items()}
+    for logger in trainer.loggers:
+        if isinstance(logger, TensorBoardLogger):
+            logger.log_hyperparams(settings, metrics)
+        else:
+            logger.log_metrics(metrics, trainer.global_step)
+        logger.save()
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, str | float | int | bool]:
+    leaves: dict[str, str | float | int | bool] = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            leaves |= _flat(value, f"{prefix}{key}.")
+        elif value is not None and not prefix.startswith("trainer"):
+            leaves[prefix + key] = value if isinstance(value, str | float | int | bool) else str(value)
+    return leaves

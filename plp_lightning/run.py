@@ -1,0 +1,128 @@
+"""A run directory: one method on one experiment with one target task and one seed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from datamodules.atomic import locked_folder, replacing
+from datamodules.errors import ConfigError
+
+
+class RunDirectory:
+    """Paths and records of one run; every file in it is complete or absent.
+
+    Args:
+        path: The directory.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def create(cls, path: Path, config: str, environment: Mapping[str, Any]) -> RunDirectory:
+        """Begin a run; nothing that exists is overwritten.
+
+        Raises:
+            ConfigError: If there is a run at ``path`` already.
+        """
+        run = cls(path)
+        if run.config.exists():
+            state = run.status().get("state", "unknown")
+            raise ConfigError(
+                f"{path}: holds a run already (state: {state}); go on with it by plp fit --resume {path}, "
+                "or choose another --seed, --method or --run_root"
+            )
+        path.mkdir(parents=True, exist_ok=True)
+        run.write_json("environment.json", environment)
+        run.write_json("status.json", {"state": "new", "phases": {}})
+        run.write_text("config.yaml", config)
+        return run
+
+    @classmethod
+    def open(cls, path: Path) -> RunDirectory:
+        """A run that was begun before.
+
+        Raises:
+            ConfigError: If there is none at ``path``.
+        """
+        run = cls(path)
+        if not run.config.is_file():
+            raise ConfigError(f"{path}: is no run directory (it has no config.yaml); name one made by plp fit")
+        return run
+
+    @property
+    def config(self) -> Path:
+        """The resolved configuration; it reruns as it is."""
+        return self.path / "config.yaml"
+
+    def phase(self, name: str) -> Path:
+        """Where a phase keeps its curves and checkpoints."""
+        return self.path / name
+
+    def checkpoint(self, phase: str, which: str = "last") -> Path:
+        """``best`` or ``last`` checkpoint of a phase."""
+        return self.phase(phase) / "checkpoints" / f"{which}.ckpt"
+
+    def status(self) -> dict[str, Any]:
+        """State of the run and of each of its phases."""
+        return self.read_json("status.json")
+
+    def update_status(self, state: str, phase: str | None = None, record: Mapping[str, Any] | None = None) -> None:
+        """Set the run's state and, if named, a phase's record."""
+        status = self.status()
+        status["state"] = state
+        if phase is not None:
+            status["phases"].setdefault(phase, {}).update(record or {})
+        self.write_json("status.json", status)
+
+    def phase_record(self, phase: str) -> dict[str, Any]:
+        """What is known of a phase; empty before it has begun."""
+        record: dict[str, Any] = self.status().get("phases", {}).get(phase, {})
+        return record
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        """A record; empty if there is none.
+
+        Raises:
+            ConfigError: If the file is damaged.
+        """
+        file = self.path / name
+        if not file.exists():
+            return {}
+        try:
+            record: dict[str, Any] = json.loads(file.read_text())
+        except json.JSONDecodeError as error:
+            raise ConfigError(f"{file}: is no JSON ({error}); restore it or begin a new run") from None
+        return record
+
+    def write_json(self, name: str, record: Mapping[str, Any]) -> None:
+        """Write a record in one visible step."""
+        self.write_text(name, json.dumps(record, indent=2) + "\n")
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a text file in one visible step."""
+        with locked_folder(self.path), replacing(self.path / name) as temporary:
+            temporary.write_text(text)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes out of this run.
+
+        Raises:
+            ConfigError: If another process works on it.
+        """
+        lock = FileLock(self.path / ".lock", timeout=0)
+        try:
+            lock.acquire()
+        except Timeout:
+            raise ConfigError(f"{self.path}: another process works on this run; wait for it or stop it") from None
+        try:
+            yield
+        finally:
+            lock.release()
