@@ -1,8 +1,8 @@
 """Losses: pure functions of tensors, each with its shapes and its equation."""
 
-from plp_lightning.losses.adversarial import discriminator_loss, domain_confusion
+from plp_lightning.losses.adversarial import confusion, discrimination
 from plp_lightning.losses.bc import behavioural_cloning
 from plp_lightning.losses.mmd import mmd
 from plp_lightning.losses.tcc import tcc
 
-__all__ = ["behavioural_cloning", "discriminator_loss", "domain_confusion", "mmd", "tcc"]
+__all__ = ["behavioural_cloning", "confusion", "discrimination", "mmd", "tcc"]

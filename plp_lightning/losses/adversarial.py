@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 
-def discriminator_loss(logits: Sequence[Tensor]) -> Tensor:
+def discrimination(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
     """The discriminator's loss: cross-entropy of telling which domain a latent is from.
 
-    The logits are those of detached latents, so that no gradient reaches the encoder. See "Generative
-    Adversarial Networks" (https://arxiv.org/abs/1406.2661), Eq. 1.
+    The latents are detached: no gradient reaches the encoder. For two domains this is the binary cross-entropy
+    of "Generative Adversarial Networks" (https://arxiv.org/abs/1406.2661), Eq. 1.
 
     Args:
-        logits: What the discriminator says of each domain's latents, ``(B_d, D)`` for D domains, two or more,
-            columns in the order of this list.
+        discriminator: ``(B, Z)`` → logits ``(B, D)`` for D domains, two or more.
+        latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
 
     Returns:
         Scalar, mean over the samples of all domains.
 
     Example:
-        >>> discriminator_loss([torch.zeros(3, 2), torch.zeros(5, 2)])  # log 2: it can't tell
+        >>> discrimination(torch.nn.Identity(), [torch.zeros(3, 2), torch.zeros(5, 2)])  # log 2: it can't tell
         tensor(0.6931)
     """
-    pooled, own = _pool(logits)
-    return functional.cross_entropy(pooled, own)
+    logits, own = _judge(discriminator, [latent.detach() for latent in latents])
+    return functional.cross_entropy(logits, own)
 
 
-def domain_confusion(logits: Sequence[Tensor]) -> Tensor:
+def confusion(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
     """The encoder's loss: cross-entropy with flipped labels, small if latents pass for another domain's.
 
     It doesn't saturate: the better the discriminator, the larger the gradient. With more than two domains the
@@ -38,25 +38,28 @@ def domain_confusion(logits: Sequence[Tensor]) -> Tensor:
     (https://arxiv.org/abs/1406.2661), section 3.
 
     Args:
-        logits: As in :func:`discriminator_loss`, but of latents whose gradient reaches the encoder, and from a
-            discriminator whose parameters are held fixed.
+        discriminator: As in :func:`discrimination`, its parameters held fixed: a gradient that reached them
+            would teach it to be fooled.
+        latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
 
     Returns:
         Scalar, mean over the samples of all domains.
 
     Example:
-        >>> domain_confusion([torch.tensor([[9.0, 0.0]]), torch.tensor([[0.0, 9.0]])])  # it can tell
+        >>> told_apart = [torch.tensor([[9.0, 0.0]]), torch.tensor([[0.0, 9.0]])]
+        >>> confusion(torch.nn.Identity(), told_apart)
         tensor(9.0001)
     """
-    pooled, own = _pool(logits)
-    return functional.cross_entropy(pooled, (1 - own) / (len(logits) - 1))
+    logits, own = _judge(discriminator, latents)
+    return functional.cross_entropy(logits, (1 - own) / (len(latents) - 1))
 
 
-def _pool(logits: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """Logits of all samples, and for each sample D probabilities, 1 for its own domain."""
-    count, shapes = len(logits), [tuple(part.shape) for part in logits]
-    assert count >= 2, f"expected the logits of at least two domains, got {count}"
-    assert all(len(s) == 2 and s[1] == count for s in shapes), f"expected logits (B_d, {count}), got {shapes}"
-    pooled = torch.cat(list(logits)).float()
-    identity = torch.eye(count, device=pooled.device)
-    return pooled, torch.cat([row.expand(size, -1) for row, (size, _) in zip(identity, shapes, strict=True)])
+def _judge(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    """Logits of all samples, and for each sample D probabilities, 1 for its own domain; both ``(B, D)``."""
+    count, sizes = len(latents), [len(latent) for latent in latents]
+    assert count >= 2, f"expected the latents of at least two domains, got {count}"
+    logits = discriminator(torch.cat(list(latents))).float()
+    expected = (sum(sizes), count)
+    assert logits.shape == expected, f"expected logits {expected}, got {tuple(logits.shape)}"
+    identity = torch.eye(count, device=logits.device)
+    return logits, torch.cat([row.expand(size, -1) for row, size in zip(identity, sizes, strict=True)])
