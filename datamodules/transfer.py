@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from filelock import FileLock
 from lightning.pytorch import LightningDataModule
 
@@ -18,7 +19,7 @@ from datamodules.loader import FixedBatches, Loader, PairSource
 from datamodules.normalization import Statistics
 from datamodules.sampler import AlignmentOrder, MixOrder, PairOrder, generator
 from datamodules.table import Table, build_table
-from datamodules.types import Collector, DomainSpec
+from datamodules.types import Batch, Collector, DomainSpec
 
 Part = Literal["train", "held_out"]
 
@@ -213,6 +214,13 @@ class TransferDataModule(LightningDataModule):
         """Held-out trajectories of what the phase trains on."""
         tasks = self.target_tasks if self._phase_demand() == "mix" else self.proxies
         return FixedBatches(self.tables, self.rows(tasks, "held_out"), 1024)
+
+    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
+        """Walk through a batch only if there is somewhere to move it."""
+        if device.type == "cpu":
+            return batch
+        moved: Batch = super().transfer_batch_to_device(batch, device, dataloader_idx)
+        return moved
 
     def _phase_demand(self) -> Demand:
         if self.trainer is None:

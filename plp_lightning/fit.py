@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import logging
 import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning.pytorch import Callback, Trainer, seed_everything
-from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.loggers import TensorBoardLogger
 
 from plp_lightning.callbacks.alignment_score import AlignmentMetrics
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
@@ -22,10 +24,24 @@ from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.callbacks.progress import PhaseProgress
 from plp_lightning.evaluation.simulation import evaluate_all
 from plp_lightning.experiment import Experiment
+from plp_lightning.metrics_file import MetricsFile
 from plp_lightning.phases import Phase
 from plp_lightning.policy import PortablePolicy
 from plp_lightning.results import log_hyperparameters, write_results
 from plp_lightning.run import RunDirectory
+
+
+NOT_FOR_US = (
+    # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
+    r"The number of training batches .* is smaller than the logging interval",
+    # Frozen parts are in eval mode on purpose.
+    r"Found .* module\(s\) in eval mode",
+    # A resumed run writes into the folder that it was in before.
+    r"Checkpoint directory .* exists and is not empty",
+    # Lightning 2.6 uses a name that newer torch deprecates.
+    r".*isinstance\(treespec, LeafSpec\)",
+)
+"""Lightning's warnings that are wrong for this project, each with the reason."""
 
 
 def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: RunDirectory | None = None) -> None:
@@ -79,18 +95,28 @@ def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pat
     if weights is not None:
         load_policy_weights(policy, weights)
     phase = experiment.phases[name](policy)
-    trainer = build_trainer(experiment, run, name, phase)
     last = run.checkpoint(name)
-    if last.exists():
-        read_checkpoint(last)
+    resumed_step = read_checkpoint(last)["global_step"] if last.exists() else None
+    trainer = build_trainer(experiment, run, name, phase, resumed_step)
     trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
     record = {"state": "done", **assess(experiment, policy)}
     log_hyperparameters(trainer, experiment, record)
     run.update_status("running", name, record | {"seconds": spent + time.monotonic() - began})
 
 
-def build_trainer(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> Trainer:
-    """Lightning's Trainer with what every phase of this project needs around its steps."""
+def build_trainer(
+    experiment: Experiment, run: RunDirectory, name: str, phase: Phase, resumed_step: int | None
+) -> Trainer:
+    """Lightning's Trainer with what every phase of this project needs around its steps.
+
+    Args:
+        experiment: What to run.
+        run: Where to keep it.
+        name: The phase's name.
+        phase: The phase.
+        resumed_step: Step of the checkpoint that training goes on from; curves beyond it are dropped.
+    """
+    quiet_lightning()
     folder = run.phase(name)
     settings = {key: value for key, value in experiment.trainer.items() if key != "max_epochs"}
     return Trainer(
@@ -98,13 +124,20 @@ def build_trainer(experiment: Experiment, run: RunDirectory, name: str, phase: P
         max_epochs=experiment.trainer["max_epochs"] or phase.epochs,
         default_root_dir=run.path,
         logger=[
-            TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False),
-            CSVLogger(run.path, name=name, version=""),
+            TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed_step),
+            MetricsFile(folder),
         ],
         callbacks=[*_own_callbacks(experiment, run, name), *copy.deepcopy(list(experiment.callbacks))],
         plugins=[AtomicCheckpointIO()],
         enable_progress_bar=False,
     )
+
+
+def quiet_lightning() -> None:
+    """Leave the screen to progress and results: no device tables, no tips, no advice that does not apply here."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for message in NOT_FOR_US:
+        warnings.filterwarnings("ignore", message=message)
 
 
 def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list[Callback]:

@@ -89,7 +89,7 @@ def log_hyperparameters(trainer: Trainer, experiment: Experiment, record: Mappin
     metrics |= {f"final/{name}": value for name, value in record["alignment"].items()}
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):
-            logger.log_hyperparams(settings, metrics)
+            logger.log_hyperparams(settings, metrics, trainer.global_step)
         else:
             logger.log_metrics(metrics, trainer.global_step)
         logger.save()

@@ -58,7 +58,7 @@ class Phase(LightningModule):
 
     def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
         """Losses of a training step, as ``train/<name>``, in the steps that loggers write down."""
-        if self.trainer.global_step % self.trainer.log_every_n_steps:
+        if (self.trainer.global_step + 1) % self.trainer.log_every_n_steps:
             return
         for name, value in parts.items():
             self.log(f"train/{name}", value.detach(), batch_size=batch_size)
@@ -70,10 +70,3 @@ class Phase(LightningModule):
             "tasks": list(self.policy.tasks),
             "architecture": self.policy.architecture,
         }
-
-    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
-        """Walk through a batch only if there is somewhere to move it."""
-        if device.type == "cpu":
-            return batch
-        moved: Batch = super().transfer_batch_to_device(batch, device, dataloader_idx)
-        return moved
