@@ -29,7 +29,8 @@ def gait_features(states: np.ndarray, joints: int, directions: np.ndarray) -> np
     """
     posture, velocities = states[:, 2 : 7 + joints], states[:, 7 + joints :]
     limited = np.clip(velocities, -VELOCITY_LIMIT, VELOCITY_LIMIT)
-    return np.concatenate([posture, limited, directions], axis=1).astype(np.float32)
+    features: np.ndarray = np.concatenate([posture, limited, directions], axis=1).astype(np.float32)
+    return features
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,11 @@ class Gait:
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     mean: np.ndarray
     scale: np.ndarray
+
+    @property
+    def torques(self) -> int:
+        """A, the number of joints it moves."""
+        return len(self.layers[-1][1])
 
     def act(self, features: np.ndarray) -> np.ndarray:
         """Torques ``(n, A)`` in [-1, 1] for features ``(n, F)``."""
@@ -63,7 +69,9 @@ class Gait:
             CheckpointError: If there is no such file or it holds no gait.
         """
         if not path.is_file():
-            raise CheckpointError(f"no gait at {path}; train one with: python -m plp_lightning.experts.train_walker --help")
+            raise CheckpointError(
+                f"no gait at {path}; train one with: python -m plp_lightning.experts.train_walker --help"
+            )
         arrays = load_file(path)
         count = sum(name.endswith(".weight") for name in arrays)
         try:

@@ -97,8 +97,10 @@ class WalkingOnPlane(VecEnv):
         spin = (self._states[:, self._physics.qvel][:, 3:6] ** 2).sum(axis=1)
         effort = (self._next_torques**2).mean(axis=1)
         jerk = ((self._next_torques - self._torques) ** 2).mean(axis=1)
-        posture: np.ndarray = 0.5 - 1.0 * turned - 0.01 * spin - 0.5 * effort - 0.1 * jerk
-        return np.minimum(along, SPEED) - 0.3 * across + posture
+        # The bonus for being on one's feet keeps rewards positive: otherwise to fall at once would pay.
+        posture = 1.5 - 0.5 * turned - 0.005 * spin - 0.5 * effort - 0.1 * jerk
+        rewards: np.ndarray = np.minimum(along, SPEED) - 0.3 * across + posture
+        return rewards
 
     def _fallen(self) -> np.ndarray:
         qpos = self._states[:, self._physics.qpos]
@@ -178,13 +180,14 @@ class _Report(BaseCallback):
         save_gait(self.model.policy, vec, self._out, {**self._record, "steps": self.num_timesteps})
 
     def _std(self) -> float:
-        return float(self.model.policy.log_std.detach().exp().mean())
+        log_std: torch.Tensor = self.model.policy.get_parameter("log_std")
+        return float(log_std.detach().exp().mean())
 
 
 def save_gait(policy: Any, normalize: VecNormalize, out: Path, record: dict[str, object]) -> None:
     """Write the policy's mean network and the feature statistics to ``out``, the provenance beside it as JSON."""
     linear = [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)] + [policy.action_net]
-    statistics = normalize.obs_rms
+    statistics: Any = normalize.obs_rms
     arrays = {
         "mean": statistics.mean.astype(np.float32),
         "scale": (1 / np.sqrt(statistics.var + normalize.epsilon)).astype(np.float32),
@@ -198,7 +201,12 @@ def save_gait(policy: Any, normalize: VecNormalize, out: Path, record: dict[str,
 
 
 def train_walker(
-    legs: int = 4, steps: int = 6_000_000, seed: int = 0, out: Path | None = None, walkers: int = 32, every: int = 100_000
+    legs: int = 4,
+    steps: int = 6_000_000,
+    seed: int = 0,
+    out: Path | None = None,
+    walkers: int = 32,
+    every: int = 100_000,
 ) -> None:
     """Train a direction-conditioned gait and write it.
 

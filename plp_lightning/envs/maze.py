@@ -1,0 +1,173 @@
+"""Point, ant and spider in D4RL's mazes, on the physics of Gymnasium-Robotics, many episodes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from datamodules.types import ObservationKey
+from plp_lightning.envs.maze_base import FrameName, LayoutName, Maze
+from plp_lightning.envs.maze_layout import Frame
+from plp_lightning.envs.walker_model import Box, walker_mjcf, wall_geoms
+
+
+class PointMaze(Maze):
+    """A force-driven ball: Gymnasium-Robotics' ``PointMaze_UMaze-v3`` and ``PointMaze_Medium-v3``.
+
+    The state is ``position (2), velocity (2)``, the action a force along each axis; a control step lasts 10 ms.
+    The paper's source domain of P2P is ``swap_axes=True, negate_actions=True``: it sees (y, x, vy, vx) and its
+    actions have the opposite sign, but their axes are not swapped.
+
+    Args:
+        layout: Which maze.
+        swap_axes: Show y before x.
+        negate_actions: Turn the sign of all actions.
+        frame: See :class:`Maze`.
+        radius: Distance from the goal that counts as success, in cells of 1 m.
+        jitter: Largest offset of a start from its cell's centre along each axis, in cells.
+        horizon: Control steps of an episode; None means 250 in umaze and 400 in medium (D4RL: 300 and 600).
+        threads: Threads that step physics; 0 means one for each core.
+    """
+
+    scale = 1.0
+    frame_skip = 1
+    horizons: ClassVar[dict[str, int]] = {"umaze": 250, "medium": 400}
+
+    def __init__(
+        self,
+        layout: LayoutName,
+        swap_axes: bool = False,
+        negate_actions: bool = False,
+        frame: FrameName = "d4rl",
+        radius: float = 0.5,
+        jitter: float = 0.25,
+        horizon: int | None = None,
+        threads: int = 0,
+    ) -> None:
+        super().__init__(layout, frame, radius, jitter, horizon, threads)
+        self._order = [1, 0, 3, 2] if swap_axes else [0, 1, 2, 3]
+        self._sign = -1 if negate_actions else 1
+        self._description += f", swap_axes {swap_axes}, negate_actions {negate_actions}"
+
+    def states_in_maze(self, states: np.ndarray) -> np.ndarray:
+        """See :meth:`Maze.states_in_maze`."""
+        return states[:, self._order]
+
+    def actions_in_maze(self, actions: np.ndarray) -> np.ndarray:
+        """See :meth:`Maze.actions_in_maze`."""
+        return self._sign * actions
+
+    _body = "point"
+    _action_size = 2
+    _wall_height = 0.4
+    _forward = True  # it limits the velocity by setting the state
+
+    def _keys(self) -> tuple[ObservationKey, ...]:
+        return ObservationKey("position", (2,), unit="m"), ObservationKey("velocity", (2,), unit="m/s")
+
+    def _d4rl_frame(self) -> Frame:
+        # In D4RL the ball's joints are zero at 1.2, the walls stand at whole numbers from 1.
+        return Frame((-0.2, -0.2), (1.0, 0.0), (0.0, 1.0))
+
+    def _before_step(self, states: np.ndarray) -> np.ndarray:
+        assert self._physics is not None
+        limited = states.copy()
+        limited[:, self._physics.qvel] = np.clip(states[:, self._physics.qvel], -5.0, 5.0)
+        return limited
+
+    def _mjcf(self, walls: Sequence[Box]) -> str:
+        # The dynamics of gymnasium_robotics/envs/assets/point/point.xml, to the last bit.
+        return f"""
+<mujoco model="point">
+  <compiler inertiafromgeom="true" angle="radian"/>
+  <option timestep="0.01" gravity="0 0 0" iterations="20" integrator="Euler"/>
+  <default>
+    <joint damping="1" limited="false"/>
+    <geom friction="0.5 0.1 0.1" density="1000" margin="0.002" condim="1" contype="2" conaffinity="1"/>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" size="40 40 0.25" pos="0 0 -0.1" contype="1" conaffinity="0"/>
+    {wall_geoms(walls)}
+    <body name="ball">
+      <geom name="ball" type="sphere" size="0.1" contype="1"/>
+      <joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="y" type="slide" axis="0 1 0"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="x" ctrlrange="-1 1" ctrllimited="true" gear="100"/>
+    <motor joint="y" ctrlrange="-1 1" ctrllimited="true" gear="100"/>
+  </actuator>
+</mujoco>"""
+
+
+class WalkerMaze(Maze):
+    """A legged walker: Gymnasium-Robotics' ``AntMaze_UMaze-v4`` and ``AntMaze_Medium-v4``, or a six-legged spider.
+
+    The state is ``position (2), height, quat (4, w first), joints, velocity (3), angular_velocity (3, body frame),
+    joint_velocities``: 29 numbers for four legs, 37 for six. The action is a torque for each of the two joints
+    of a leg; a control step lasts 50 ms.
+
+    Args:
+        layout: Which maze.
+        legs: 4 for the ant, 6 for the spider.
+        frame: See :class:`Maze`.
+        radius: Distance from the goal that counts as success, in cells of 4 m.
+        jitter: Largest offset of a start from its cell's centre along each axis, in cells.
+        horizon: Control steps of an episode; None means 700 in umaze and 1200 in medium (D4RL: 700 and 1000
+            steps of 100 ms).
+        threads: Threads that step physics; 0 means one for each core.
+    """
+
+    scale = 4.0
+    frame_skip = 5
+    horizons: ClassVar[dict[str, int]] = {"umaze": 700, "medium": 1200}
+
+    def __init__(
+        self,
+        layout: LayoutName,
+        legs: Literal[4, 6] = 4,
+        frame: FrameName = "d4rl",
+        radius: float = 0.5,
+        jitter: float = 0.25,
+        horizon: int | None = None,
+        threads: int = 0,
+    ) -> None:
+        self.legs = legs
+        super().__init__(layout, frame, radius, jitter, horizon, threads)
+
+    @property
+    def joints(self) -> int:
+        """Number of leg joints, each with a motor."""
+        return 2 * self.legs
+
+    _wall_height = 2.0
+    _forward = False
+
+    @property
+    def _body(self) -> str:
+        return f"walker with {self.legs} legs"
+
+    @property
+    def _action_size(self) -> int:
+        return self.joints
+
+    def _keys(self) -> tuple[ObservationKey, ...]:
+        return (
+            ObservationKey("position", (2,), unit="m"),
+            ObservationKey("height", (1,), unit="m"),
+            ObservationKey("quat", (4,)),
+            ObservationKey("joints", (self.joints,), unit="rad"),
+            ObservationKey("velocity", (3,), unit="m/s"),
+            ObservationKey("angular_velocity", (3,), unit="rad/s"),
+            ObservationKey("joint_velocities", (self.joints,), unit="rad/s"),
+        )
+
+    def _d4rl_frame(self) -> Frame:
+        # D4RL puts the origin at cell (1, 1) and lets y grow downwards.
+        return Frame((-4.0, -4.0), (0.0, 4.0), (4.0, 0.0))
+
+    def _mjcf(self, walls: Sequence[Box]) -> str:
+        return walker_mjcf(self.legs, walls)

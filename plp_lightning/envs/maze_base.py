@@ -1,0 +1,184 @@
+"""What all bodies in a maze share: tasks, starts, success."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from datamodules.errors import ConfigError
+from datamodules.types import DomainSpec, Observation, ObservationKey
+from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.maze_layout import LAYOUTS, Frame
+from plp_lightning.envs.walker_model import Box
+
+if TYPE_CHECKING:
+    from plp_lightning.envs.maze_rollout import BatchedPhysics
+
+LayoutName = Literal["umaze", "medium"]
+FrameName = Literal["d4rl", "gymnasium"]
+
+
+class Maze(Simulator):
+    """A body in a maze whose tasks are pairs of a start zone and a goal cell; goals are never observed.
+
+    Args:
+        layout: Which maze.
+        frame: ``d4rl``: x grows with the rows of the maze for the point, with its columns for walkers, as in the
+            paper's data; ``gymnasium``: Gymnasium-Robotics' frame, origin in the middle, the same for all bodies.
+        radius: Distance from the goal that counts as success, in cells.
+        jitter: Largest offset of a start from its cell's centre along each axis, in cells.
+        horizon: Control steps of an episode; None takes the default of the body and the layout.
+        threads: Threads that step physics; 0 means one for each core.
+    """
+
+    scale: ClassVar[float]
+    """Side of a cell, in m."""
+    frame_skip: ClassVar[int]
+    """Physics steps of 10 ms in one control step."""
+    _wall_height: ClassVar[float]
+    """Height of the walls, in m."""
+    _forward: ClassVar[bool]
+    """Whether Gymnasium-Robotics computes forces before each control step."""
+    horizons: ClassVar[dict[str, int]]
+    """Default horizon of each layout."""
+
+    def __init__(
+        self,
+        layout: LayoutName,
+        frame: FrameName = "d4rl",
+        radius: float = 0.5,
+        jitter: float = 0.25,
+        horizon: int | None = None,
+        threads: int = 0,
+    ) -> None:
+        if layout not in LAYOUTS:
+            raise ConfigError(f"unknown maze layout {layout!r}; expected one of: {', '.join(LAYOUTS)}")
+        self.layout = LAYOUTS[layout]
+        self.frame = Frame.gymnasium(self.layout.shape, self.scale) if frame == "gymnasium" else self._d4rl_frame()
+        self.horizon = self.horizons[layout] if horizon is None else horizon
+        self.threads = threads
+        self._radius = radius * self.scale
+        self._jitter = jitter
+        self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
+        self._physics: BatchedPhysics | None = None
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """Names of all tasks: ``s<zone>_g_<row>_<column>``, and ``detour_<row>_<column>`` in medium."""
+        return tuple(self.layout.tasks)
+
+    def target_tasks(self, target: str) -> tuple[str, ...]:
+        """Tasks of a target: of a goal ``goal_<row>_<column>`` one for each start zone that has another cell."""
+        return self.layout.target_tasks(target)
+
+    def proxies(self, target: str) -> tuple[str, ...]:
+        """All shortest-path tasks that end at another goal than ``target``, a goal or a task."""
+        return self.layout.proxies(target)
+
+    def spec(self, name: str) -> DomainSpec:
+        """Observation and action space: positions in m, velocities in m/s or rad/s, in the maze's frame."""
+        return DomainSpec(name, self._keys(), self._action_size, 100 / self.frame_skip, self._description)
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Begin episodes at rest, at a random place in the start zone of their tasks.
+
+        Raises:
+            ConfigError: If this maze has no such task.
+        """
+        chosen = [self.layout.task(name) for name in tasks]
+        if self._physics is None:
+            self._physics = self._build()
+        starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
+        self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
+        self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
+        for pending, task in zip(self._pending, chosen, strict=True):
+            pending[tuple(np.array(list(self.layout.via(task)), dtype=int).reshape(-1, 2).T)] = True
+        self._states = self._physics.initial_states(len(chosen))
+        self._states[:, self._physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
+        self._states = self._physics.forward(self._states)
+        self._visit(np.arange(len(chosen)))
+        return self._observe(self._states)
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        """Apply ``actions (n, A)``; an episode whose physics diverged is invalid and keeps its last valid state."""
+        assert self._physics is not None, "reset comes before step"
+        controls = self.actions_in_maze(np.clip(actions.astype(np.float64), -1, 1))
+        states, valid = self._physics.step(self._before_step(self._states[episodes]), controls)
+        self._states[episodes] = states
+        self._visit(episodes)
+        return Step(self._observe(states), valid & self._succeeded(episodes), ~valid)
+
+    def states_in_maze(self, states: np.ndarray) -> np.ndarray:
+        """Observed states ``(n, O)`` as the physics has them, before this domain's transformation."""
+        return states
+
+    def actions_in_maze(self, actions: np.ndarray) -> np.ndarray:
+        """This domain's actions ``(n, A)`` as the physics takes them; its own inverse."""
+        return actions
+
+    def cells(self, states: np.ndarray) -> np.ndarray:
+        """Where observed states ``(n, O)`` are: fractional row and column, ``(n, 2)``, the same in all domains."""
+        return self.frame.cells(self.states_in_maze(states)[:, :2])
+
+    @property
+    @abstractmethod
+    def _body(self) -> str:
+        """What walks in the maze."""
+
+    @property
+    @abstractmethod
+    def _action_size(self) -> int:
+        """Number of motors."""
+
+    @abstractmethod
+    def _keys(self) -> tuple[ObservationKey, ...]:
+        """Parts of the state."""
+
+    @abstractmethod
+    def _mjcf(self, walls: Sequence[Box]) -> str:
+        """The body between walls."""
+
+    @abstractmethod
+    def _d4rl_frame(self) -> Frame:
+        """D4RL's frame for this body."""
+
+    def _build(self) -> BatchedPhysics:
+        import mujoco  # with numba half a second, which listing tasks need not pay
+
+        from plp_lightning.envs.maze_rollout import BatchedPhysics
+
+        centres = self.frame.centres(np.array(self.layout.walls)).tolist()
+        walls = [Box(x, y, self.scale / 2, self._wall_height / 2) for x, y in centres]
+        model = mujoco.MjModel.from_xml_string(self._mjcf(walls))
+        return BatchedPhysics(model, self.frame_skip, self._forward, self.threads)
+
+    def _start(self, cells: Sequence[tuple[int, int]], seed: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        place: np.ndarray = np.array(cells[rng.integers(len(cells))]) + rng.uniform(-self._jitter, self._jitter, 2)
+        return place
+
+    def _before_step(self, states: np.ndarray) -> np.ndarray:
+        """What happens to the physical states ``(n, S)`` before each control step."""
+        return states
+
+    def _observe(self, states: np.ndarray) -> Observation[np.ndarray]:
+        assert self._physics is not None
+        observed = np.concatenate([states[:, self._physics.qpos], states[:, self._physics.qvel]], axis=1)
+        return Observation(self.states_in_maze(observed).astype(np.float32))
+
+    def _positions(self, episodes: np.ndarray) -> np.ndarray:
+        assert self._physics is not None
+        positions: np.ndarray = self._states[episodes, self._physics.qpos][:, :2]
+        return positions
+
+    def _visit(self, episodes: np.ndarray) -> None:
+        rows, columns = np.rint(self.frame.cells(self._positions(episodes))).astype(int).T
+        self._pending[episodes, rows, columns] = False
+
+    def _succeeded(self, episodes: np.ndarray) -> np.ndarray:
+        distance = np.linalg.norm(self._positions(episodes) - self._goals[episodes], axis=1)
+        succeeded: np.ndarray = (distance <= self._radius) & ~self._pending[episodes].any(axis=(1, 2))
+        return succeeded

@@ -1,0 +1,208 @@
+"""Mazes on paper: cells, start zones, tasks, routes, and where the cells lie in a simulator's plane."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from datamodules.errors import ConfigError
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+Cell = tuple[int, int]
+"""Row and column, from the upper left corner of the drawing."""
+
+
+class MazeTask(NamedTuple):
+    """Walk from a start zone to a goal cell."""
+
+    zone: int
+    goal: Cell
+    avoid: Cell | None = None
+    """A detour task must reach the goal without crossing this cell, which lies on the shortest path."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A maze drawn in characters, ``#`` for walls.
+
+    A task is a pair of a start zone and a goal cell, named ``s<zone>_g_<row>_<column>``. The target of an
+    experiment is a goal, ``goal_<row>_<column>``: all tasks that end there. A detour, ``detour_<row>_<column>``, is
+    one task and a target of its own: the goal counts only by the long way round.
+
+    Args:
+        rows: The drawing.
+        zones: Disjoint start zones that cover all free cells.
+        detours: Detour tasks, one for a goal cell at most.
+    """
+
+    rows: tuple[str, ...]
+    zones: tuple[tuple[Cell, ...], ...]
+    detours: tuple[MazeTask, ...] = field(default=())
+
+    @cached_property
+    def cells(self) -> tuple[Cell, ...]:
+        """Free cells, row by row."""
+        return tuple((i, j) for i, row in enumerate(self.rows) for j, mark in enumerate(row) if mark != "#")
+
+    @cached_property
+    def walls(self) -> tuple[Cell, ...]:
+        """Wall cells, row by row."""
+        return tuple((i, j) for i, row in enumerate(self.rows) for j, mark in enumerate(row) if mark == "#")
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns, outer walls included."""
+        return len(self.rows), len(self.rows[0])
+
+    @cached_property
+    def tasks(self) -> Mapping[str, MazeTask]:
+        """All tasks by name: for each goal those of its start zones, then the detours."""
+        zones = range(len(self.zones))
+        tasks = {
+            f"s{zone}_g_{row}_{column}": MazeTask(zone, (row, column)) for row, column in self.cells for zone in zones
+        }
+        return tasks | {"detour_{}_{}".format(*detour.goal): detour for detour in self.detours}
+
+    def task(self, name: str) -> MazeTask:
+        """The task of that name.
+
+        Raises:
+            ConfigError: If this maze has no such task.
+        """
+        if name not in self.tasks:
+            first, last = next(iter(self.tasks)), next(reversed(list(self.tasks)))
+            raise ConfigError(
+                f"unknown maze task {name!r}; expected one of the {len(self.tasks)} from {first} to {last}"
+            )
+        return self.tasks[name]
+
+    def target_tasks(self, target: str) -> tuple[str, ...]:
+        """Tasks that make up a target: those that end at a goal, or one detour, or one task named itself.
+
+        Raises:
+            ConfigError: If this maze has no such target.
+        """
+        goals = {"goal_{}_{}".format(*cell): cell for cell in self.cells}
+        if target in goals:
+            return tuple(name for name, task in self.tasks.items() if task.goal == goals[target] and not task.avoid)
+        if target in self.tasks:
+            return (target,)
+        raise ConfigError(
+            f"unknown maze target {target!r}; expected one of: {', '.join([*goals, *self._detour_names])}"
+        )
+
+    def proxies(self, target: str) -> tuple[str, ...]:
+        """Shortest-path tasks whose goal is not the target's."""
+        goal = self.tasks[self.target_tasks(target)[0]].goal
+        return tuple(name for name, task in self.tasks.items() if task.goal != goal and not task.avoid)
+
+    def starts(self, task: MazeTask) -> tuple[Cell, ...]:
+        """Cells where a task may begin: its zone without the goal."""
+        return tuple(cell for cell in self.zones[task.zone] if cell != task.goal)
+
+    def route(self, task: MazeTask) -> dict[Cell, Cell]:
+        """The next cell towards the goal from every free cell; the goal leads to itself."""
+        way = _next_cells(self._graph, task.goal, task.avoid)
+        if task.avoid:
+            # Whoever strays into the forbidden cell turns back to the side that is farther from the goal.
+            way[task.avoid] = max(self._graph[task.avoid], key=lambda cell: len(_path(way, cell)))
+        return way
+
+    def via(self, task: MazeTask) -> frozenset[Cell]:
+        """Cells that a detour must visit: on its way from all starts, and on none of the short ways."""
+        if not task.avoid:
+            return frozenset()
+        long, short = self.route(task), self.route(task._replace(avoid=None))
+        on_all = [set(_path(long, start)) for start in self.starts(task)]
+        return frozenset(set.intersection(*on_all).difference(*(_path(short, start) for start in self.starts(task))))
+
+    @property
+    def _detour_names(self) -> list[str]:
+        return [name for name, task in self.tasks.items() if task.avoid]
+
+    @cached_property
+    def _graph(self) -> nx.Graph:
+        import networkx as nx  # costs a tenth of a second, and listing tasks needs no graph
+
+        graph = nx.Graph()
+        graph.add_nodes_from(self.cells)
+        neighbours = [
+            (cell, other) for cell in self.cells for other in ((cell[0] + 1, cell[1]), (cell[0], cell[1] + 1))
+        ]
+        graph.add_edges_from((cell, other) for cell, other in neighbours if other in graph)
+        return graph
+
+
+def _next_cells(graph: nx.Graph, goal: Cell, avoid: Cell | None) -> dict[Cell, Cell]:
+    import networkx as nx
+
+    allowed = graph.subgraph([cell for cell in graph if cell != avoid])
+    return {goal: goal, **dict(nx.bfs_predecessors(allowed, goal))}
+
+
+def _path(way: Mapping[Cell, Cell], start: Cell) -> list[Cell]:
+    path = [start]
+    while way[path[-1]] != path[-1]:
+        path.append(way[path[-1]])
+    return path
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where cells lie in a simulator's plane.
+
+    Args:
+        origin: Centre of cell (0, 0), in m.
+        down: From a cell's centre to that of the next row, in m.
+        right: From a cell's centre to that of the next column, in m.
+    """
+
+    origin: tuple[float, float]
+    down: tuple[float, float]
+    right: tuple[float, float]
+
+    def centres(self, cells: np.ndarray) -> np.ndarray:
+        """Positions ``(…, 2)`` in m of (possibly fractional) cells ``(…, 2)``."""
+        centres: np.ndarray = np.asarray(self.origin) + np.asarray(cells) @ np.array([self.down, self.right])
+        return centres
+
+    def cells(self, positions: np.ndarray) -> np.ndarray:
+        """Fractional cells ``(…, 2)`` of positions ``(…, 2)`` in m; integers at centres."""
+        fractional: np.ndarray = (positions - np.asarray(self.origin)) @ np.linalg.inv([self.down, self.right])
+        return fractional
+
+    @classmethod
+    def gymnasium(cls, shape: tuple[int, int], scale: float) -> Frame:
+        """Gymnasium-Robotics' frame: origin in the middle of the maze, x along a row, y up the columns."""
+        rows, columns = shape
+        return cls(((0.5 - columns / 2) * scale, (rows / 2 - 0.5) * scale), (0.0, -scale), (scale, 0.0))
+
+
+def _quadrants(rows: tuple[str, ...]) -> tuple[tuple[Cell, ...], ...]:
+    middle = len(rows) // 2
+    free = [(i, j) for i, row in enumerate(rows) for j, mark in enumerate(row) if mark != "#"]
+    halves = [(lower, right) for lower in (False, True) for right in (False, True)]
+    return tuple(tuple(c for c in free if (c[0] >= middle, c[1] >= middle) == half) for half in halves)
+
+
+_MEDIUM = ("########", "#  ##  #", "#  #   #", "##   ###", "#  #   #", "# #  # #", "#   #  #", "########")
+
+LAYOUTS: Mapping[str, Layout] = {
+    "umaze": Layout(
+        rows=("#####", "#   #", "### #", "#   #", "#####"),
+        zones=(((1, 1), (1, 2)), ((1, 3), (2, 3), (3, 3)), ((3, 1), (3, 2))),
+    ),
+    "medium": Layout(
+        rows=_MEDIUM,
+        zones=_quadrants(_MEDIUM),
+        # One from each of three quadrants, round the only large loop the other way.
+        detours=(MazeTask(0, (6, 1), (4, 2)), MazeTask(1, (6, 2), (5, 4)), MazeTask(3, (3, 2), (3, 3))),
+    ),
+}
+"""D4RL's mazes, see https://github.com/Farama-Foundation/D4RL/blob/master/d4rl/pointmaze/__init__.py."""

@@ -1,0 +1,95 @@
+"""Who demonstrates in mazes: routes along the corridors' centre lines, and the point's controller on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from datamodules.errors import ConfigError
+from datamodules.types import Observation
+from plp_lightning.envs.base import Expert, Simulator
+from plp_lightning.envs.maze import PointMaze
+from plp_lightning.envs.maze_base import Maze
+
+
+class Guide:
+    """Where to go next from every cell, for each of E episodes; has no memory, so that clones need none.
+
+    Whoever is beside the centre line of the corridor first heads for the line, then along it; the change is gradual.
+
+    Args:
+        maze: The maze.
+        tasks: Task of each episode.
+        width: Distance from the centre line beyond which only the line counts, in cells.
+    """
+
+    def __init__(self, maze: Maze, tasks: Sequence[str], width: float = 0.35) -> None:
+        self._maze = maze
+        self._width = width
+        routes = {name: self._table(name) for name in set(tasks)}
+        self._next = np.stack([routes[name] for name in tasks])
+
+    def aims(self, states: np.ndarray, episodes: np.ndarray) -> np.ndarray:
+        """Points to head for, in fractional cells ``(n, 2)``, from observed states ``(n, O)``.
+
+        With d the step from the current cell to the next, and p the position from the current cell's centre, the
+        aim is p's projection on the line along d, moved forward to the next centre by the share
+        ``max(0, 1 - |offset| / width)`` of the way.
+        """
+        position = self._maze.cells(states)
+        cell = np.rint(position).astype(int)
+        following = self._next[episodes, cell[:, 0], cell[:, 1]]
+        ahead = (following - cell).astype(float)
+        along = ((position - cell) * ahead).sum(axis=1, keepdims=True)
+        foot = cell + along * ahead
+        offset = np.linalg.norm(position - foot, axis=1, keepdims=True)
+        share = np.maximum(0, 1 - offset / self._width)
+        aims: np.ndarray = foot + share * (following - foot)
+        return np.where(ahead.any(axis=1, keepdims=True), aims, cell)
+
+    def _table(self, task: str) -> np.ndarray:
+        layout = self._maze.layout
+        table = np.zeros((*layout.shape, 2), dtype=int)
+        for cell, following in layout.route(layout.task(task)).items():
+            table[cell] = following
+        return table
+
+
+class WaypointExpert(Expert):
+    """Accelerates a point towards the next cell of its route: action = gain (aim - position) - damping velocity.
+
+    See D4RL's controller, https://github.com/Farama-Foundation/D4RL/blob/master/d4rl/pointmaze/waypoint_controller.py,
+    which remembers its waypoint; this one does not.
+
+    Args:
+        gain: Action for each metre to the aim.
+        damping: Action for each m/s.
+        width: See :class:`Guide`.
+    """
+
+    def __init__(self, gain: float = 10.0, damping: float = 1.0, width: float = 0.35) -> None:
+        self._gain = gain
+        self._damping = damping
+        self._width = width
+
+    def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
+        """Look up the routes of the tasks.
+
+        Raises:
+            ConfigError: If the simulator is no point's maze.
+        """
+        if not isinstance(simulator, PointMaze):
+            found = type(simulator).__name__
+            raise ConfigError(
+                f"WaypointExpert demonstrates in PointMaze, not in {found}; give the domain its own expert"
+            )
+        self._maze = simulator
+        self._guide = Guide(self._maze, tasks, self._width)
+
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        """Forces ``(n, 2)`` for states ``(n, 4)``."""
+        states = self._maze.states_in_maze(observation.state)
+        aims = self._maze.frame.centres(self._guide.aims(observation.state, episodes))
+        forces = self._gain * (aims - states[:, :2]) - self._damping * states[:, 2:]
+        return self._maze.actions_in_maze(np.clip(forces, -1, 1)).astype(np.float32)
