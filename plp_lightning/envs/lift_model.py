@@ -12,6 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import mujoco
@@ -112,8 +113,9 @@ class LiftModel:
     """Row of the pedestal in mocap_pos."""
 
     @classmethod
+    @cache
     def build(cls, robot: Robot) -> LiftModel:
-        """Build the model through robosuite (2 to 5 s) and look its parts up."""
+        """The robot's model, built through robosuite (2 to 5 s) once in a process: stepping only reads it."""
         env = robosuite_env(robot)
         parts, model = env.robots[0], _bare_model(env)
         actuators = np.array(parts._ref_actuators_indexes_dict["right"])

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
-import llvmlite.binding
+import llvmlite.binding  # type: ignore[import-untyped, unused-ignore]  # has no stubs
 import mujoco
 import numba
 import numpy as np
@@ -49,13 +49,20 @@ def _library() -> str:
 
 
 llvmlite.binding.load_library_permanently(_library())
+
+
+def _mujoco(name: str, *arguments: types.Type) -> Callable[..., None]:
+    """A C function of MuJoCo as compiled code calls it; pointers are passed as integers."""
+    return cast("Callable[..., None]", types.ExternalFunction(name, types.void(*arguments)))
+
+
 _POINTER = types.intp
-mj_step1 = types.ExternalFunction("mj_step1", types.void(_POINTER, _POINTER))
-mj_step2 = types.ExternalFunction("mj_step2", types.void(_POINTER, _POINTER))
-mj_jac_site = types.ExternalFunction("mj_jacSite", types.void(*[_POINTER] * 4, types.int32))
-mj_full_m = types.ExternalFunction("mj_fullM", types.void(*[_POINTER] * 3))
-mj_get_state = types.ExternalFunction("mj_getState", types.void(*[_POINTER] * 3, types.uint32))
-mj_set_state = types.ExternalFunction("mj_setState", types.void(*[_POINTER] * 3, types.uint32))
+mj_step1 = _mujoco("mj_step1", _POINTER, _POINTER)
+mj_step2 = _mujoco("mj_step2", _POINTER, _POINTER)
+mj_jac_site = _mujoco("mj_jacSite", _POINTER, _POINTER, _POINTER, _POINTER, types.int32)
+mj_full_m = _mujoco("mj_fullM", _POINTER, _POINTER, _POINTER)
+mj_get_state = _mujoco("mj_getState", _POINTER, _POINTER, _POINTER, types.uint32)
+mj_set_state = _mujoco("mj_setState", _POINTER, _POINTER, _POINTER, types.uint32)
 
 
 def entry(function: Callable[P, R]) -> Callable[P, R]:
@@ -65,7 +72,12 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
 
 def inner(function: Callable[P, R]) -> Callable[P, R]:
     """Compile what only compiled code calls: without the wrapper for Python, which costs more than the function."""
-    options = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+    }
     return cast("Callable[P, R]", numba.njit(**options)(function))
 
 
@@ -182,7 +194,8 @@ def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: n
     solve(mobility[3:, 3:].copy(), pull[3:])
     solve(mobility, unwanted)
     pull -= unwanted
-    return held + product(jacobian.T, pull)
+    held += product(jacobian.T, pull)
+    return held
 
 
 @inner
