@@ -41,7 +41,7 @@ def write_trajectories(
 ) -> None:
     """Create a trajectory file; it appears complete or not at all.
 
-    Episodes are sorted by task; those of the same task stay in the order in which they come.
+    Episodes are sorted by task, then by seed; those with the same seed stay in the order in which they come.
 
     Args:
         path: The new file; missing folders are made.
@@ -72,8 +72,8 @@ def add_trajectories(
 ) -> None:
     """Add demonstrations to a file, or create it: the old file is replaced in one step by one that holds both.
 
-    Within a task the new demonstrations follow the old, so that the first n stay the first n. Those that the
-    file holds already, value for value, are skipped. Earlier provenance is kept under the key ``earlier``.
+    Demonstrations that the file holds already, value for value, are skipped. Earlier provenance is kept
+    under the key ``earlier``.
 
     Args:
         path: The file to grow; missing folders are made.
@@ -149,9 +149,7 @@ def _check_growth(old: TrajectoryFile, domains: Sequence[DomainSpec]) -> None:
     with open_guarded(old.path) as file:
         extra = set(check_objects(file, old.path)).difference(["/tasks/name"], *map(array_paths, old.domains))
     if extra:
-        raise TrajectoryFileError(
-            f"{old.path}: found {min(extra)}, which growing would drop; collect into another file"
-        )
+        raise TrajectoryFileError(f"{old.path}: found {min(extra)}; growing would drop it: collect into another file")
 
 
 def _difference(field: str, found: Any, expected: Any) -> str:

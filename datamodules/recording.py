@@ -90,7 +90,7 @@ def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episo
     Args:
         path: Where the file shall be; what is there is replaced.
         header: Tasks, domains and provenance.
-        episodes: Episodes by domain; they are sorted by task, and keep their order within a task.
+        episodes: Episodes by domain, in any order.
         compress: Whether to compress vectors too.
 
     Raises:
@@ -102,7 +102,7 @@ def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episo
             write_header(file, header)
             hashes = {HEADER: header.digest()}
             for spec in header.domains:
-                ordered = sorted(episodes.get(spec.name, ()), key=lambda episode: header.tasks.index(episode.task))
+                ordered = sorted(episodes.get(spec.name, ()), key=lambda e: (header.tasks.index(e.task), e.seed))
                 hashes |= _write_domain(file, spec, header.tasks, ordered, compress)
             file.attrs["content_sha256"] = json.dumps(hashes, sort_keys=True)
             file.attrs["complete"] = True

@@ -182,6 +182,8 @@ def _read_spec(file: h5py.File, name: str, path: Path) -> DomainSpec:
     group = file[f"domains/{name}"]
     keys = tuple(_read_key(file, f"/domains/{name}/obs", key, path) for key in json.loads(group.attrs["observation"]))
     attrs = group.attrs
+    if not any(key.kind == "state" for key in keys):
+        _fail(place, "no state key", "at least one")
     spec = DomainSpec(name, keys, int(attrs["action_size"]), float(attrs["control_hz"]), str(attrs["env"]))
     check_spec(spec, place)
     return spec
@@ -219,7 +221,7 @@ def _check_array(array: h5py.Dataset, shape: tuple[int, ...], dtype: type[np.gen
 def _check_table(file: h5py.File, group: str, path: Path) -> None:
     offset, task_id = file[f"{group}/episodes/offset"][()], file[f"{group}/episodes/task_id"][()]
     if offset[0] != 0 or (np.diff(offset) <= 0).any():
-        _fail(path, f"{group}/episodes/offset {offset[:4]}…", "0 first, then strictly rising")
+        _fail(path, f"{group}/episodes/offset {offset[:4].tolist()}…", "0 first, then strictly rising")
     tasks = file["tasks/name"].size
     if ((task_id < 0) | (task_id >= tasks)).any():
         _fail(path, f"a number outside 0…{tasks - 1} in {group}/episodes/task_id", "known tasks")

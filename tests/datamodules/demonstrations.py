@@ -1,0 +1,40 @@
+"""Small domains and demonstrations for the tests of the trajectory format."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
+
+TASKS = ("reach", "push", "lift")
+ARM = DomainSpec("arm", (ObservationKey("pos", (3,), unit="m"), ObservationKey("grip", (1,))), 4, 20.0, "an arm")
+CAMERA = DomainSpec(
+    "camera", (ObservationKey("image", (4, 5, 3), "image"), ObservationKey("joints", (2,), unit="rad")), 2, 10.0
+)
+
+
+def demonstration(spec: DomainSpec, task: str, seed: int, steps: int = 5) -> Trajectory:
+    """A demonstration whose values are a function of its arguments."""
+    rng = np.random.default_rng([len(spec.name), TASKS.index(task), seed, steps])
+    state = rng.standard_normal((steps, spec.state_size)).astype(np.float32)
+    key = spec.image_key
+    image = None if key is None else rng.integers(0, 256, (steps, *key.shape), dtype=np.uint8)
+    actions = rng.uniform(-1, 1, (steps, spec.action_size)).astype(np.float32)
+    return Trajectory(spec.name, task, Observation(state, image), actions, seed, bool(seed % 2))
+
+
+def demonstrations(seeds: int = 2) -> list[Trajectory]:
+    """``seeds`` demonstrations of each task in both domains, of different lengths."""
+    return [demonstration(spec, t, s, 4 + s) for spec in (ARM, CAMERA) for t in TASKS for s in range(seeds)]
+
+
+def assert_equal(one: Trajectory, other: Trajectory) -> None:
+    """Both hold the same values of the same types."""
+    assert (one.domain, one.task, one.seed, one.success) == (other.domain, other.task, other.seed, other.success)
+    assert one.actions.dtype == other.actions.dtype
+    np.testing.assert_array_equal(one.actions, other.actions)
+    np.testing.assert_array_equal(one.observation.state, other.observation.state)
+    if one.observation.image is None or other.observation.image is None:
+        assert one.observation.image is other.observation.image
+    else:
+        np.testing.assert_array_equal(one.observation.image, other.observation.image)

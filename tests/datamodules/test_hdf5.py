@@ -1,0 +1,519 @@
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from demonstrations import ARM, CAMERA, TASKS, assert_equal, demonstration, demonstrations
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from datamodules import recording
+from datamodules.errors import TrajectoryFileError, UserError
+from datamodules.hdf5 import FORMAT, FORMAT_VERSION, TrajectoryFile, add_trajectories, verify_hashes, write_trajectories
+from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
+
+SPECS = (ARM, CAMERA)
+WHY = {"command": "plp collect", "seed": 3}
+
+
+@pytest.fixture
+def path(tmp_path):
+    target = tmp_path / "data" / "demos.hdf5"
+    write_trajectories(target, SPECS, TASKS, demonstrations(), WHY)
+    return target
+
+
+@st.composite
+def experiments(draw):
+    specs = []
+    for name in draw(st.lists(st.sampled_from(["a", "b.2", "C-3", "_d"]), min_size=1, max_size=3, unique=True)):
+        sizes = draw(st.lists(st.integers(1, 4), min_size=1, max_size=3))
+        keys = [ObservationKey(f"k{i}", (size,), unit="m") for i, size in enumerate(sizes)]
+        if draw(st.booleans()):
+            keys.insert(
+                draw(st.integers(0, len(keys))), ObservationKey("cam", (2, 3, draw(st.integers(1, 3))), "image")
+            )
+        specs.append(DomainSpec(name, tuple(keys), draw(st.integers(1, 3)), draw(st.integers(1, 50))))
+    keys = st.tuples(st.sampled_from(specs), st.sampled_from(TASKS), st.integers(0, 2**40), st.integers(1, 20))
+    chosen = draw(st.lists(keys, max_size=8, unique_by=lambda key: (key[0].name, *key[1:3])))
+    return specs, [demonstration(*key) for key in chosen]
+
+
+def everything(path: Path) -> list[Trajectory]:
+    with TrajectoryFile.open(path) as file:
+        return [file.trajectory(s.name, e) for s in file.domains for e in range(len(file.episodes(s.name).task))]
+
+
+def same_key(one: Trajectory, other: Trajectory) -> bool:
+    return (one.domain, one.task, one.seed) == (other.domain, other.task, other.seed)
+
+
+# -- what is written is read ---------------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(experiments(), st.booleans())
+def test_round_trip(tmp_path_factory, experiment, compress):
+    specs, given_trajectories = experiment
+    path = tmp_path_factory.mktemp("round") / "x.hdf5"
+    write_trajectories(path, specs, TASKS, iter(given_trajectories), WHY, compress=compress)
+    with TrajectoryFile.open(path) as file:
+        assert file.domains == tuple(specs)
+        assert file.tasks == TASKS
+        assert file.provenance == WHY
+    found = everything(path)
+    assert len(found) == len(given_trajectories)
+    for trajectory in given_trajectories:
+        assert_equal(next(t for t in found if same_key(t, trajectory)), trajectory)
+
+
+def test_episodes_are_sorted_by_task_then_seed(tmp_path):
+    given_order = [("lift", 1), ("reach", 7), ("push", 0), ("reach", 2), ("lift", 0)]
+    write_trajectories(tmp_path / "x", [ARM], TASKS, [demonstration(ARM, t, s) for t, s in given_order], WHY)
+    with TrajectoryFile.open(tmp_path / "x") as file:
+        table = file.episodes("arm")
+    assert list(table.task) == ["reach", "reach", "push", "lift", "lift"]
+    assert list(table.seed) == [2, 7, 0, 0, 1]
+    assert list(table.success) == [False, True, False, False, True]
+    assert list(table.offset) == [0, 5, 10, 15, 20, 25]
+
+
+def test_demonstrations_with_the_same_seed_keep_their_order(tmp_path):
+    given_order = [demonstration(ARM, "push", 1, steps) for steps in (6, 2, 4)]
+    write_trajectories(tmp_path / "x", [ARM], TASKS, given_order, WHY)
+    assert [len(t) for t in everything(tmp_path / "x")] == [6, 2, 4]
+
+
+def test_counts_hold_zeros(tmp_path):
+    write_trajectories(tmp_path / "x", SPECS, TASKS, [demonstration(ARM, "push", s) for s in range(3)], WHY)
+    with TrajectoryFile.open(tmp_path / "x") as file:
+        assert file.counts() == {"arm": {"reach": 0, "push": 3, "lift": 0}, "camera": dict.fromkeys(TASKS, 0)}
+        empty = file.read("camera")
+        assert empty.state.shape == (0, 2)
+        assert empty.image is not None
+        assert empty.image.shape == (0, 4, 5, 3)
+        assert list(empty.offset) == [0]
+
+
+@settings(max_examples=30, deadline=None)
+@given(chosen=st.lists(st.integers(0, 8), max_size=12))
+def test_read_lays_chosen_episodes_end_to_end(tmp_path_factory, chosen):
+    path = tmp_path_factory.getbasetemp() / "chosen.hdf5"
+    if not path.exists():
+        write_trajectories(path, SPECS, TASKS, demonstrations(3), WHY)
+    with TrajectoryFile.open(path) as file:
+        arrays = file.read("camera", np.array(chosen, np.int64))
+        single = [file.trajectory("camera", e) for e in chosen]
+    assert list(arrays.task) == [t.task for t in single]
+    assert list(arrays.offset) == [0, *np.cumsum([len(t) for t in single])]
+    for number, trajectory in enumerate(single):
+        steps = slice(arrays.offset[number], arrays.offset[number + 1])
+        np.testing.assert_array_equal(arrays.state[steps], trajectory.observation.state)
+        np.testing.assert_array_equal(arrays.image[steps], trajectory.observation.image)
+        np.testing.assert_array_equal(arrays.actions[steps], trajectory.actions)
+    assert len(arrays.image) == arrays.offset[-1]
+
+
+def test_state_holds_the_keys_in_the_order_of_the_spec(path):
+    wanted = demonstration(ARM, "reach", 0, 4).observation.state
+    with h5py.File(path) as raw:
+        np.testing.assert_array_equal(raw["domains/arm/obs/pos"][:4], wanted[:, :3])
+        np.testing.assert_array_equal(raw["domains/arm/obs/grip"][:4], wanted[:, 3:])
+        assert dict(raw["domains/arm/obs/pos"].attrs)["unit"] == "m"
+
+
+def test_images_can_be_left_out(path):
+    with TrajectoryFile.open(path) as file:
+        assert file.read("camera", images=False).image is None
+        assert file.read("arm").image is None
+
+
+def test_storage_of_vectors_and_images(path, tmp_path):
+    write_trajectories(tmp_path / "small", SPECS, TASKS, demonstrations(), WHY, compress=True)
+    with h5py.File(path) as raw, h5py.File(tmp_path / "small") as small:
+        assert raw["domains/camera/obs/image"].chunks == (8, 4, 5, 3)
+        assert raw["domains/camera/obs/image"].compression == "gzip"
+        assert raw["domains/arm/actions"].chunks is None
+        assert small["domains/arm/actions"].compression == "gzip"
+    add_trajectories(tmp_path / "small", SPECS, TASKS, [demonstration(ARM, "lift", 9)], WHY)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: f.read("leg"), r"no domain 'leg'; it has: arm, camera"),
+        (lambda f: f.episodes("leg"), r"no domain 'leg'"),
+        (lambda f: f.read("arm", [6]), r"domain 'arm' has episodes 0 to 5; asked for 6"),
+        (lambda f: f.trajectory("arm", -1), r"asked for -1"),
+    ],
+)
+def test_wrong_questions(path, call, message):
+    with TrajectoryFile.open(path) as file, pytest.raises(UserError, match=message):
+        call(file)
+
+
+# -- growth --------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.randoms(use_true_random=False), st.integers(1, 4))
+def test_content_does_not_depend_on_the_order_of_collection(tmp_path_factory, random, parts):
+    folder = tmp_path_factory.mktemp("grow")
+    write_trajectories(folder / "once", SPECS, TASKS, demonstrations(), WHY)
+    shuffled = random.sample(demonstrations(), 12)
+    for part in range(parts):
+        add_trajectories(folder / "grown", SPECS, TASKS, shuffled[part::parts], WHY)
+    assert (folder / "grown").read_bytes() == (folder / "once").read_bytes()
+
+
+def test_a_demonstration_is_added_once(path):
+    before = path.read_bytes()
+    add_trajectories(path, SPECS, TASKS, demonstrations(), WHY)
+    assert path.read_bytes() == before
+
+
+def test_new_domains_and_tasks_follow_the_old(tmp_path):
+    add_trajectories(tmp_path / "x", [CAMERA], ["lift"], [demonstration(CAMERA, "lift", 1)], WHY)
+    add_trajectories(tmp_path / "x", [ARM], ["push"], [demonstration(ARM, "push", 1)], {"command": "again"})
+    with TrajectoryFile.open(tmp_path / "x") as file:
+        assert [spec.name for spec in file.domains] == ["camera", "arm"]
+        assert file.tasks == ("lift", "push")
+        assert file.provenance == {"command": "again", "earlier": [WHY]}
+    add_trajectories(tmp_path / "x", SPECS, TASKS, [], WHY)
+    with TrajectoryFile.open(tmp_path / "x") as file:
+        assert file.domains == SPECS
+        assert file.tasks == TASKS
+        assert_equal(file.trajectory("camera", 0), demonstration(CAMERA, "lift", 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"control_hz": 50.0}, r"domain 'arm' has control_hz 20.0 in the file; expected 50.0"),
+        ({"action_size": 3}, r"action_size 4 in the file; expected 3"),
+        ({"env": "other"}, r"env 'an arm' in the file; expected 'other'"),
+        ({"observation": ARM.observation[:1]}, r"keys pos, grip in the file; expected pos"),
+        (
+            {"observation": (replace(ARM.observation[0], unit="cm"), ARM.observation[1])},
+            r"key 'pos' with unit 'm' in the file; expected 'cm'",
+        ),
+    ],
+)
+def test_growth_with_another_domain_of_the_same_name_is_refused(path, change, message):
+    before = path.read_bytes()
+    with pytest.raises(TrajectoryFileError, match=message):
+        add_trajectories(path, [replace(ARM, **change)], TASKS, [], WHY)
+    assert path.read_bytes() == before
+
+
+def test_growth_does_not_drop_what_others_added(path):
+    with h5py.File(path, "a") as file:
+        file["domains/arm/rewards"] = np.zeros(3)
+    with pytest.raises(TrajectoryFileError, match=r"/domains/arm/rewards; growing would drop it"):
+        add_trajectories(path, SPECS, TASKS, [], WHY)
+
+
+def test_writing_does_not_replace_a_file(path):
+    with pytest.raises(TrajectoryFileError, match=r"the file exists; expected a new one"):
+        write_trajectories(path, SPECS, TASKS, [], WHY)
+
+
+# -- what is refused at the door -------------------------------------------------------------------------
+
+
+def changed(state=None, actions=None, image=None) -> Trajectory:
+    old = demonstration(CAMERA, "push", 11)
+    observation = Observation(
+        old.observation.state if state is None else state, old.observation.image if image is None else image
+    )
+    return replace(old, observation=observation, actions=old.actions if actions is None else actions)
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "message"),
+    [
+        (changed(state=np.array([[0, 1]] * 4 + [[0, np.nan]])), r"not finite in 'joints', step 4"),
+        (changed(state=np.full((5, 2), 1e300)), r"not finite in 'joints', step 0"),
+        (changed(state=np.zeros((5, 3))), r"state of shape \(5, 3\); expected \(5, 2\)"),
+        (
+            changed(actions=np.full((5, 2), np.inf)),
+            r"actions \[inf, inf\] in step 0; expected finite values in \[-1, 1\]",
+        ),
+        (changed(actions=np.full((5, 2), np.nan)), r"actions \[nan, nan\] in step 0"),
+        (changed(actions=np.array([[0, 0]] * 3 + [[0, -1.5]] * 2)), r"actions \[0.0, -1.5\] in step 3"),
+        (changed(actions=np.zeros((5, 1))), r"actions of shape \(5, 1\); expected \(5, 2\)"),
+        (changed(image=np.zeros((5, 4, 5, 3))), r"images .*float64.*; expected .*uint8"),
+        (changed(image=np.zeros((5, 3, 4, 5), np.uint8)), r"images \(\(5, 3, 4, 5\).*; expected \(\(5, 4, 5, 3\)"),
+        (replace(changed(), task="fly"), r"unknown task; expected one of reach, push, lift"),
+        (replace(changed(), domain="leg"), r"unknown domain; expected one of arm, camera"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast")
+def test_demonstrations_that_do_not_fit_are_refused(tmp_path, trajectory, message):
+    where = rf"task '{trajectory.task}' in domain '{trajectory.domain}', seed 11: found .*"
+    with pytest.raises(TrajectoryFileError, match=where + message) as caught:
+        write_trajectories(tmp_path / "x", SPECS, TASKS, [demonstration(CAMERA, "push", 1), trajectory], WHY)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("specs", "tasks", "message"),
+    [
+        ([replace(ARM, name="../arm")], TASKS, r"name '../arm'; expected 1 to 64 letters"),
+        ([replace(ARM, observation=(ObservationKey("a b", (1,)),))], TASKS, r"name 'a b'"),
+        (
+            [replace(ARM, observation=(ObservationKey("a", (1, 2)),))],
+            TASKS,
+            r"shape \(1, 2\); expected \(n,\) for state",
+        ),
+        ([replace(ARM, observation=ARM.observation * 2)], TASKS, r"keys pos, grip, pos, grip; expected different"),
+        ([replace(ARM, action_size=0)], TASKS, r"0 actions at 20.0 Hz"),
+        ([replace(ARM, control_hz=float("nan"))], TASKS, r"4 actions at nan Hz"),
+        ([replace(ARM, env="\x1b[2J")], TASKS, r"control characters in env or unit"),
+        ([ARM, ARM], TASKS, r"domains arm, arm; expected every name once"),
+        ([ARM], ["lift", "lift"], r"tasks lift, lift; expected every name once"),
+        ([ARM], [".."], r"task name '\.\.'"),
+    ],
+)
+def test_names_and_shapes_are_checked_before_writing(tmp_path, specs, tasks, message):
+    with pytest.raises(TrajectoryFileError, match=message):
+        write_trajectories(tmp_path / "x", specs, tasks, [], WHY)
+
+
+def test_provenance_must_fit_json(tmp_path):
+    with pytest.raises(TrajectoryFileError, match=r"provenance cannot be stored"):
+        write_trajectories(tmp_path / "x", [ARM], TASKS, [], {"when": object()})
+
+
+# -- damage ----------------------------------------------------------------------------------------------
+
+
+def set_attribute(name: str, value: object, path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file.attrs[name] = value
+
+
+def delete(place: str, path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        parent, _, name = place.rpartition("/")
+        del file[parent][name]
+
+
+def put(place: str, array: np.ndarray, path: Path) -> None:
+    delete(place, path)
+    with h5py.File(path, "a") as file:
+        file[place] = array
+
+
+def forget_completion(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        del file.attrs["complete"]
+
+
+def cut(share: float, path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (Path.unlink, "no such file"),
+        (partial(cut, 0.0), "the file is empty"),
+        (partial(cut, 0.3), "cannot be read as HDF5"),
+        (partial(cut, 0.999), "cannot be read as HDF5"),
+        (lambda path: path.write_text("a,b\n1,2\n" * 99), "cannot be read as HDF5"),
+        (partial(set_attribute, "format", "minari"), f"format 'minari'; expected '{FORMAT}'"),
+        (partial(set_attribute, "format_version", "2.0"), f"format version '2.0'; expected '{FORMAT_VERSION}'"),
+        (partial(set_attribute, "complete", False), "never finished"),
+        (forget_completion, "never finished"),
+        (partial(set_attribute, "provenance", "{}"), "provenance that do not match their hash"),
+        (partial(set_attribute, "domains", '["arm"]'), "do not match their hash"),
+        (partial(set_attribute, "domains", '["leg"]'), "domain 'leg': found no group of that name"),
+        (partial(set_attribute, "content_sha256", "{"), "cannot be read as HDF5"),
+        (partial(delete, "/domains/arm/actions"), "no array /domains/arm/actions"),
+        (partial(delete, "/domains/arm/obs/pos"), "no array /domains/arm/obs/pos"),
+        (partial(delete, "/domains/arm/episodes"), "no array /domains/arm/episodes/task_id"),
+        (
+            partial(put, "/domains/arm/actions", np.zeros((3, 4), np.float32)),
+            r"/domains/arm/actions of shape \(3, 4\), type float32; expected shape \(27, 4\), type float32",
+        ),
+        (partial(put, "/domains/arm/obs/grip", np.zeros((27, 1))), r"no array|cannot be read"),
+        (partial(put, "/domains/arm/episodes/offset", np.arange(7) - 1), "expected 0 first, then strictly rising"),
+        (partial(put, "/domains/arm/episodes/offset", np.array([0, 9, 9, 12, 13, 14, 27])), "strictly rising"),
+        (
+            partial(put, "/domains/arm/episodes/offset", np.arange(6)),
+            r"shape \(6,\), type int64; expected shape \(7,\)",
+        ),
+        (partial(put, "/domains/arm/episodes/task_id", np.full(6, 3, np.int32)), "a number outside 0…2"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_line(path, damage, message):
+    damage(path)
+    with pytest.raises(TrajectoryFileError, match=message) as caught:
+        TrajectoryFile.open(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("place", ["/domains/arm/actions", "/domains/camera/obs/joints", "/domains/arm/episodes/seed"])
+def test_a_flipped_bit_is_found(path, place):
+    with h5py.File(path) as file:
+        start = file[place].id.get_offset()
+    content = bytearray(path.read_bytes())
+    content[start] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(TrajectoryFileError, match=rf"values of {place} that do not match their hash"):
+        verify_hashes(path)
+
+
+@settings(max_examples=50, deadline=None)
+@given(share=st.floats(0, 1, exclude_max=True), mask=st.integers(1, 255))
+def test_any_flipped_byte_is_refused_or_harmless(tmp_path_factory, share, mask):
+    folder = tmp_path_factory.getbasetemp()
+    original, copy = folder / "original.hdf5", folder / "flipped.hdf5"
+    if not original.exists():
+        write_trajectories(original, SPECS, TASKS, demonstrations(), WHY)
+    content = bytearray(original.read_bytes())
+    content[int(share * len(content))] ^= mask
+    copy.write_bytes(content)
+    try:
+        verify_hashes(copy)
+    except TrajectoryFileError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+        return
+    for one, other in zip(everything(copy), everything(original), strict=True):
+        assert_equal(one, other)
+
+
+# -- atomicity -------------------------------------------------------------------------------------------
+
+
+def test_a_failed_growth_leaves_the_old_file(path, monkeypatch):
+    before = path.read_bytes()
+    monkeypatch.setattr(recording, "verify_hashes", partial(_fail, path.parent))
+    with pytest.raises(KeyboardInterrupt):
+        add_trajectories(path, SPECS, TASKS, [demonstration(ARM, "lift", 77)], WHY)
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def _fail(folder: Path, temporary: Path) -> None:
+    assert temporary.parent == folder
+    assert temporary.exists()
+    raise KeyboardInterrupt
+
+
+def test_a_failing_source_of_demonstrations_leaves_nothing(tmp_path):
+    def broken():
+        yield demonstration(ARM, "lift", 1)
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_trajectories(tmp_path / "x", SPECS, TASKS, broken(), WHY)
+    assert list(tmp_path.iterdir()) == []
+
+
+WRITER = f"""
+import os, resource, signal, sys
+sys.path[:0] = {sys.path!r}
+from datamodules import recording
+from datamodules.errors import TrajectoryFileError
+from datamodules.hdf5 import add_trajectories
+from demonstrations import ARM, TASKS, demonstration
+mode, path = sys.argv[1:]
+if mode == "full":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
+else:
+    recording.verify_hashes = lambda temporary: os.kill(os.getpid(), signal.SIGKILL)
+try:
+    add_trajectories(path, [ARM], TASKS, [demonstration(ARM, "lift", 99, 9_000)], {{}})
+except TrajectoryFileError as error:
+    print(error)
+    sys.exit(2)
+"""
+
+
+def _run(mode: str, path: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", WRITER, mode, str(path)], capture_output=True, text=True, check=False)
+
+
+def test_a_full_disk_leaves_the_old_file(path):
+    before = path.read_bytes()
+    done = _run("full", path)
+    assert re.fullmatch(rf"{path}: cannot be written \(.*\); expected a folder with free space: .*\n", done.stdout), (
+        done
+    )
+    assert done.returncode == 2
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_killed_writer_leaves_the_old_file_and_the_next_one_cleans_up(path):
+    before = path.read_bytes()
+    assert _run("kill", path).returncode == -9
+    assert path.read_bytes() == before
+    assert len(list(path.parent.iterdir())) == 2
+    add_trajectories(path, SPECS, TASKS, [demonstration(ARM, "lift", 99)], WHY)
+    assert list(path.parent.iterdir()) == [path]
+    assert sum(sum(tasks.values()) for tasks in TrajectoryFile.open(path).counts().values()) == 13
+
+
+def _add_one(path: Path, seed: int) -> None:
+    add_trajectories(path, SPECS, TASKS, [demonstration(ARM, "lift", seed)], WHY)
+
+
+def test_two_writers_lose_nothing(path):
+    context = multiprocessing.get_context("fork")
+    writers = [context.Process(target=_add_one, args=(path, seed)) for seed in range(10, 14)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    with TrajectoryFile.open(path) as file:
+        assert set(range(10, 14)) <= set(file.episodes("arm").seed)
+
+
+# -- other processes -------------------------------------------------------------------------------------
+
+
+def test_an_open_file_can_be_pickled(path):
+    with TrajectoryFile.open(path) as file:
+        copy = pickle.loads(pickle.dumps(file))
+        assert copy.counts() == file.counts()
+        assert_equal(copy.trajectory("camera", 3), file.trajectory("camera", 3))
+        copy.close()
+
+
+def _send(file: TrajectoryFile, pipe) -> None:
+    pipe.send(file.read("arm", [2]).state)
+
+
+def test_a_forked_process_opens_the_file_for_itself(path):
+    with TrajectoryFile.open(path) as file:
+        wanted = file.read("arm", [2]).state
+        here, there = multiprocessing.Pipe()
+        child = multiprocessing.get_context("fork").Process(target=_send, args=(file, there))
+        child.start()
+        np.testing.assert_array_equal(here.recv(), wanted)
+        child.join()
+        np.testing.assert_array_equal(file.read("arm", [2]).state, wanted)
+
+
+def test_a_closed_file_opens_again_unless_it_was_replaced(path):
+    file = TrajectoryFile.open(path)
+    file.close()
+    assert len(file.read("arm").state) == 27
+    file.close()
+    add_trajectories(path, SPECS, TASKS, [demonstration(ARM, "lift", 99)], WHY)
+    with pytest.raises(TrajectoryFileError, match="the file was replaced while in use"):
+        file.read("arm")
