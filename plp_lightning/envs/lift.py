@@ -41,8 +41,6 @@ BLOCK_HALF = 0.02
 PEDESTAL_HALF_HEIGHT = 0.10
 LIFTED = 0.04
 """Rise of the block above its rest that counts as success, m."""
-CHUNK = 4
-"""Episodes that a thread takes at a time: few, so that no thread waits long for the last."""
 JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}
 """Joints of the arm and of the fingers."""
 
@@ -199,25 +197,25 @@ class _Physics:
     def step(self, actions: np.ndarray, rows: np.ndarray) -> Step:
         """One control step of ``rows (n,)``, shared out among the threads."""
         invalid = np.zeros(len(rows), dtype=np.bool_)
-        chunks = deque(slice(start, start + CHUNK) for start in range(0, len(rows), CHUNK))
-        workers = min(len(self.workspaces), len(chunks))
+        # The threads take one episode after the other, so that none waits long for the last.
+        queue = deque(range(len(rows)))
+        workers = min(len(self.workspaces), len(rows))
         if workers == 1:
-            self._work(0, chunks, rows, actions, invalid)
+            self._work(0, queue, rows, actions, invalid)
         else:
-            jobs = [self.pool.submit(self._work, k, chunks, rows, actions, invalid) for k in range(workers)]
+            jobs = [self.pool.submit(self._work, k, queue, rows, actions, invalid) for k in range(workers)]
             for job in jobs:
                 job.result()
         success = (self.episodes.block_z > self.rest_z + LIFTED)[rows] & ~invalid
         return Step(Observation(self.episodes.observation[rows]), success, invalid)
 
-    def _work(
-        self, worker: int, chunks: deque[slice], rows: np.ndarray, actions: np.ndarray, invalid: np.ndarray
-    ) -> None:
-        from plp_lightning.envs.osc import step_episodes
+    def _work(self, worker: int, queue: deque[int], rows: np.ndarray, actions: np.ndarray, invalid: np.ndarray) -> None:
+        from plp_lightning.envs.osc import step_episode
 
-        while chunks:
+        work = self.workspaces[worker]
+        while queue:
             try:
-                chunk = chunks.popleft()
+                i = queue.popleft()
             except IndexError:  # another thread took the last one
                 return
-            step_episodes(self.arm, self.workspaces[worker], self.episodes, rows[chunk], actions[chunk], invalid[chunk])
+            invalid[i] = not step_episode(self.arm, work, self.episodes, rows[i], actions[i])

@@ -1,4 +1,4 @@
-"""Operational-space control of many episodes without Python: one compiled call steps a share of them.
+"""Operational-space control without Python: a control step of an episode, physics and all, is one compiled call.
 
 The control law is robosuite 1.5's position controller (https://robosuite.ai/docs/modules/controllers.html),
 after O. Khatib, "A unified approach for motion and force control of robot manipulators: the operational
@@ -264,29 +264,28 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
 
 
 @entry
-def step_episodes(
-    arm: Arm, work: Workspace, episodes: Episodes, rows: np.ndarray, actions: np.ndarray, invalid: np.ndarray
-) -> None:
-    """Advance some episodes by one control step; an invalid step leaves its episode as it was.
+def step_episode(arm: Arm, work: Workspace, episodes: Episodes, row: int, action: np.ndarray) -> bool:
+    """Advance one episode by one control step, unless that is invalid: then it stays as it was.
 
     Args:
         arm: The robot.
         work: The calling thread's own room.
-        episodes: All episodes, updated in place.
-        rows: ``(m,)`` which of them to step.
-        actions: ``(m, 4)`` float64, clipped here.
-        invalid: ``(m,)`` bool, written: action not finite, or simulation diverged.
+        episodes: All episodes; one is updated in place.
+        row: Which.
+        action: ``(4,)`` float64, clipped here to [-1, 1].
+
+    Returns:
+        Whether the action was finite and the simulation did not diverge.
     """
-    for i in range(len(rows)):
-        row = rows[i]
-        if not np.isfinite(actions[i]).all():
-            invalid[i] = True
-            continue
-        grip = min(max(episodes.grip[row] + GRIPPER_SPEED * np.sign(actions[i, 3]), -1.0), 1.0)
-        mj_set_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
-        invalid[i] = not control_step(arm, work, actions[i], grip, episodes.rest[row])
-        if not invalid[i]:
-            mj_get_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
-            observe(arm, work, episodes.observation[row])
-            episodes.grip[row] = grip
-            episodes.block_z[row] = work.qpos[arm.block + 2]
+    for value in action:
+        if not np.isfinite(value):
+            return False
+    grip = min(max(episodes.grip[row] + GRIPPER_SPEED * np.sign(action[3]), -1.0), 1.0)
+    mj_set_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
+    if not control_step(arm, work, action, grip, episodes.rest[row]):
+        return False
+    mj_get_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
+    observe(arm, work, episodes.observation[row])
+    episodes.grip[row] = grip
+    episodes.block_z[row] = work.qpos[arm.block + 2]
+    return True
