@@ -1,4 +1,4 @@
-"""Forward and backward of the losses against the plain ways to write them; ratios within one run, one thread.
+"""Forward and backward of the losses against the plain ways to write them; ratios within one run.
 
 python benchmarks/losses.py
 """
@@ -34,9 +34,10 @@ def tcc_by_pairs(first: Tensor, first_mask: Tensor, second: Tensor, second_mask:
 
 
 def seconds(loss: Callable[[], Tensor]) -> float:
-    start = time.perf_counter()
+    """Processor time of one thread, so that waiting for a busy machine does not count."""
+    start = time.process_time()
     torch.autograd.backward(loss())
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 def compare(title: str, ways: dict[str, Callable[[], Tensor]]) -> None:
