@@ -16,21 +16,73 @@ VELOCITY_LIMIT = 10.0
 """Velocities beyond this (m/s, rad/s) look the same to the gait."""
 
 
-def gait_features(states: np.ndarray, joints: int, directions: np.ndarray) -> np.ndarray:
-    """What the gait sees: everything but where the walker is.
+class Symmetry:
+    """A walker with n equal legs looks the same when turned by 2 π / n and its legs are renumbered.
+
+    A gait therefore need only learn to walk within half such an angle of the x axis: states are turned until the
+    direction is, and the torques for them are handed back to the legs they belong to.
 
     Args:
-        states: ``(n, 13 + 2 joints)``: position xy, height, quaternion, joints, velocities.
-        joints: Number of leg joints.
-        directions: ``(n, 2)`` unit vectors in the plane: where to go.
-
-    Returns:
-        ``(n, 13 + 2 joints)`` float32: the states with xy replaced by the direction, at the end.
+        legs: Number of legs, n; joints and motors in the order of :func:`plp_lightning.envs.walker_model.walker_mjcf`.
     """
-    posture, velocities = states[:, 2 : 7 + joints], states[:, 7 + joints :]
-    limited = np.clip(velocities, -VELOCITY_LIMIT, VELOCITY_LIMIT)
-    features: np.ndarray = np.concatenate([posture, limited, directions], axis=1).astype(np.float32)
-    return features
+
+    def __init__(self, legs: int) -> None:
+        self.legs = legs
+        self.features = 13 + 4 * legs
+        self._sector = 2 * np.pi / legs
+        angles = (np.arange(legs) + 0.5) * self._sector
+        # The ankles of the legs behind bend by negative angles.
+        ankles = np.where(np.cos(angles) > -1e-9, 1.0, -1.0)
+        self._signs = np.stack([np.ones(legs), ankles], axis=1)
+
+    def turns(self, directions: np.ndarray) -> np.ndarray:
+        """How many n-ths of a full turn ``(m,)`` each direction ``(m, 2)`` is away from the x axis."""
+        turns: np.ndarray = np.rint(np.arctan2(directions[:, 1], directions[:, 0]) / self._sector).astype(int)
+        return turns
+
+    def turn(self, states: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """What the gait sees: everything but where the walker is, turned back by :meth:`turns`.
+
+        Args:
+            states: ``(m, 13 + 4 n)``: position xy, height, quaternion, joints, velocities.
+            directions: ``(m, 2)`` unit vectors in the plane: where to go.
+
+        Returns:
+            ``(m, 13 + 4 n)`` float32: the turned states with xy replaced by the turned direction, at the end.
+        """
+        turns, joints = self.turns(directions), 2 * self.legs
+        velocities = np.clip(states[:, 7 + joints :], -VELOCITY_LIMIT, VELOCITY_LIMIT)
+        parts = (
+            states[:, 2:4],
+            self._rotate(states[:, 4:7], turns),
+            self._renumber(states[:, 7 : 7 + joints], turns),
+            self._rotate(velocities[:, :3], turns),
+            self._rotate(velocities[:, 3:6], turns),
+            self._renumber(velocities[:, 6:], turns),
+            self._rotate(directions, turns),
+        )
+        return np.concatenate(parts, axis=1).astype(np.float32)
+
+    def torques(self, actions: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """Motor torques ``(m, 2 n)`` of the body from those ``(m, 2 n)`` of the turned body, legs in order."""
+        legs = (np.arange(self.legs) - turns[:, None]) % self.legs
+        own = actions.reshape(-1, self.legs, 2)[np.arange(len(turns))[:, None], legs] * self._signs
+        # The last leg's motors come first.
+        motors: np.ndarray = np.roll(own, 1, axis=1).reshape(len(turns), -1)
+        return motors
+
+    def _rotate(self, vectors: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        cos, sin = np.cos(turns * self._sector), np.sin(turns * self._sector)
+        rotated = vectors.copy()
+        rotated[:, 0] = cos * vectors[:, 0] + sin * vectors[:, 1]
+        rotated[:, 1] = cos * vectors[:, 1] - sin * vectors[:, 0]
+        return rotated
+
+    def _renumber(self, joints: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        legs = (np.arange(self.legs) + turns[:, None]) % self.legs
+        signed = joints.reshape(-1, self.legs, 2) * self._signs
+        renumbered: np.ndarray = signed[np.arange(len(turns))[:, None], legs].reshape(len(turns), -1)
+        return renumbered
 
 
 @dataclass(frozen=True)
@@ -48,18 +100,18 @@ class Gait:
     scale: np.ndarray
 
     @property
-    def torques(self) -> int:
-        """A, the number of joints it moves."""
-        return len(self.layers[-1][1])
+    def legs(self) -> int:
+        """Legs of the body that it moves."""
+        return len(self.layers[-1][1]) // 2
 
-    def act(self, features: np.ndarray) -> np.ndarray:
-        """Torques ``(n, A)`` in [-1, 1] for features ``(n, F)``."""
-        hidden = np.clip((features - self.mean) * self.scale, -10.0, 10.0)
+    def act(self, states: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Torques ``(m, 2 n)`` in [-1, 1] that walk from states ``(m, 13 + 4 n)`` in directions ``(m, 2)``."""
+        symmetry = Symmetry(self.legs)
+        hidden = np.clip((symmetry.turn(states, directions) - self.mean) * self.scale, -10.0, 10.0)
         *inner, (weight, bias) = self.layers
         for inner_weight, inner_bias in inner:
             hidden = np.tanh(hidden @ inner_weight.T + inner_bias)
-        actions: np.ndarray = np.clip(hidden @ weight.T + bias, -1.0, 1.0)
-        return actions
+        return symmetry.torques(np.clip(hidden @ weight.T + bias, -1.0, 1.0), symmetry.turns(directions))
 
     @classmethod
     def load(cls, path: Path) -> Gait:

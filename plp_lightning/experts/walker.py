@@ -11,7 +11,7 @@ from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze import WalkerMaze
-from plp_lightning.experts.gait import Gait, gait_features, gait_path
+from plp_lightning.experts.gait import Gait, gait_path
 from plp_lightning.experts.waypoint import Guide
 
 
@@ -42,9 +42,9 @@ class WalkerExpert(Expert):
             )
         path = self._weights or gait_path(simulator.legs)
         self._maze, self._gait = simulator, Gait.load(path)
-        if self._gait.torques != simulator.joints:
+        if self._gait.legs != simulator.legs:
             raise ConfigError(
-                f"the gait {path} moves {self._gait.torques} joints, this walker has {simulator.joints}; "
+                f"the gait {path} moves {self._gait.legs} legs, this walker has {simulator.legs}; "
                 f"train one with: python -m plp_lightning.experts.train_walker --legs {simulator.legs}"
             )
         self._guide = Guide(self._maze, tasks, self._width)
@@ -52,8 +52,7 @@ class WalkerExpert(Expert):
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """Torques ``(n, A)`` for states ``(n, O)``."""
         directions = self.directions(observation.state, episodes)
-        features = gait_features(observation.state, self._maze.joints, directions)
-        return self._gait.act(features).astype(np.float32)
+        return self._gait.act(observation.state, directions).astype(np.float32)
 
     def directions(self, states: np.ndarray, episodes: np.ndarray) -> np.ndarray:
         """Unit vectors ``(n, 2)`` in the maze's frame: where to walk from states ``(n, O)``."""

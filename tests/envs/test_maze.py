@@ -19,7 +19,7 @@ MAZES = {
 }
 
 
-def environment(name: str):  # noqa: ANN202
+def environment(name: str):
     """Gymnasium-Robotics' own environment, and the body inside it that has ``model`` and ``data``."""
     from gymnasium_robotics.envs.maze import ant_maze_v4, maps, point_maze
 
