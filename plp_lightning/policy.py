@@ -119,7 +119,10 @@ class PortablePolicy(nn.Module):
         return actions
 
     def _context(self, observation: Observation[Tensor], domain: str) -> Tensor:
-        return self.scaler(observation.state, domain)[:, self.context_columns[domain]]
+        columns = self.context_columns[domain]
+        if not columns:
+            return observation.state[:, :0]
+        return self.scaler(observation.state, domain)[:, columns]
 
     def _pad(self, x: Tensor, domain: str, width: int) -> Tensor:
         """``(B, n)`` → ``(B, width + D)``: zeros up to ``width``, then the one-hot domain id."""

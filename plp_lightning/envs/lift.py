@@ -102,6 +102,11 @@ class Lift(Simulator):
         env = f"robosuite Lift, {self.robot}, OSC position, fingers down, joint noise {self.joint_noise} rad"
         return DomainSpec(name, keys, action_size=4, control_hz=20.0, env=env)
 
+    def shared_position(self, state: np.ndarray) -> np.ndarray:
+        """Position of the end effector in the world, ``(N, 3)``, m: both robots stand at the same table."""
+        position: np.ndarray = state[:, self.spec("").columns(["eef_pos"])]
+        return position
+
     def block(self, task: str) -> np.ndarray:
         """Where the block of a task rests: its centre ``(3,)`` in the world, m.
 

@@ -61,5 +61,6 @@ class Adaptation(Phase):
         plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
         action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
         loss = behavioural_cloning(action, {domain: s.action for domain, s in steps.items()})
-        self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
+        if self.logs_now:
+            self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
         return loss

@@ -74,7 +74,9 @@ class Alignment(Phase):
         if pairs:
             parts["tcc"] = self._tcc([(encoded[d][len(steps[d].action) :], s) for d, s in pairs.items()])
         total = torch.stack([self.weights.get(name, 1.0) * value for name, value in parts.items()]).sum()
-        self.log_parts(parts | {"loss": total, "latent_std": _spread(latent.values())}, self._size(batch))
+        if self.logs_now:
+            spread = torch.cat(list(latent.values())).detach().std(dim=0).mean()
+            self.log_parts(parts | {"loss": total, "latent_std": spread}, self._size(batch))
         return total
 
     def _alignment_terms(self, latents: list[Tensor]) -> dict[str, Tensor]:
@@ -104,8 +106,3 @@ def _with_frames(observation: Observation[Tensor], frames: Sequences | None) -> 
     if observation.image is not None and frames.observation.image is not None:
         image = torch.cat([observation.image, frames.observation.image])
     return Observation(torch.cat([observation.state, frames.observation.state]), image)
-
-
-def _spread(latents: object) -> Tensor:
-    """Standard deviation of the latents over the batch: falls to zero if alignment shrinks the space."""
-    return torch.cat(list(latents)).detach().std(dim=0).mean()  # type: ignore[call-overload]

@@ -56,10 +56,13 @@ class Phase(LightningModule):
             self.log(f"val/bc_{domain}", loss, batch_size=size, on_epoch=True)
             self.log("val/bc", loss, batch_size=size, on_epoch=True)
 
+    @property
+    def logs_now(self) -> bool:
+        """Whether loggers write this training step down; in all others nothing is gathered for them."""
+        return (self.trainer.global_step + 1) % self.trainer.log_every_n_steps == 0
+
     def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
-        """Losses of a training step, as ``train/<name>``, in the steps that loggers write down."""
-        if (self.trainer.global_step + 1) % self.trainer.log_every_n_steps:
-            return
+        """Losses of a training step, as ``train/<name>``."""
         for name, value in parts.items():
             self.log(f"train/{name}", value.detach(), batch_size=batch_size)
 

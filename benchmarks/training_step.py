@@ -1,0 +1,154 @@
+"""What `plp fit` costs on top of a plain PyTorch loop over the same steps, and where a step's time goes.
+
+Both run in this process on the same synthetic tables, in turns; figures are CPU seconds of one thread, so a
+busy machine changes them little. Run: python benchmarks/training_step.py [--batch_size 512] [--steps 300]
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import statistics
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+from lightning.pytorch import Trainer
+
+from datamodules.hdf5 import write_trajectories
+from datamodules.transfer import TransferDataModule
+from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
+from plp_lightning.callbacks.checkpointing import RandomState
+from plp_lightning.callbacks.freezing import FreezeGuard
+from plp_lightning.callbacks.guard import FiniteGuard
+from plp_lightning.losses import behavioural_cloning, mmd
+from plp_lightning.phases import Alignment
+from plp_lightning.policy import PortablePolicy
+
+TASKS = [f"task_{i}" for i in range(17)]
+
+
+def make_data(folder: Path, batch_size: int, steps: int, pairs: int) -> TransferDataModule:
+    """Random trajectories in R2R's sizes, enough for ``steps`` steps in an epoch."""
+    rng = np.random.default_rng(0)
+    specs = [DomainSpec(n, (ObservationKey("state", (size,)),), 4, 20.0) for n, size in (("a", 32), ("b", 37))]
+    per_task = max(2, -(-steps * batch_size // 2 // 40 // 16))
+    trajectories = [
+        Trajectory(
+            spec.name,
+            task,
+            Observation(rng.normal(size=(40, spec.state_size)).astype(np.float32)),
+            rng.uniform(-1, 1, (40, 4)).astype(np.float32),
+            seed=i,
+            success=True,
+        )
+        for spec in specs
+        for task in TASKS
+        for i in range(per_task)
+    ]
+    path = folder / "random.hdf5"
+    write_trajectories(path, specs, TASKS, trajectories, {})
+    return TransferDataModule(
+        path=path,
+        tasks=TASKS,
+        proxies=TASKS[:16],
+        target_tasks=TASKS[16:],
+        domains=["a", "b"],
+        source_domain="a",
+        target_domain="b",
+        target=TASKS[16],
+        trajectories=per_task * 16,
+        target_trajectories=per_task,
+        held_out=0.0,
+        batch_size=batch_size,
+        pairs=pairs,
+    )
+
+
+def plain_loop(data: TransferDataModule, steps: int) -> float:
+    """CPU seconds a step of a bare loop: gather, forward, losses, backward, AdamW."""
+    policy = PortablePolicy(data.specs, data.tasks, data.statistics())
+    optimizer = torch.optim.AdamW(policy.parameters(), lr=1e-4, weight_decay=0.0, fused=True)
+    batches = iter(data.loader("proxies"))
+    began = time.process_time()
+    for _ in range(steps):
+        transitions = next(batches).transitions
+        out = policy({d: s.observation for d, s in transitions.items()}, {d: s.task for d, s in transitions.items()})
+        loss = behavioural_cloning(out.action, {d: s.action for d, s in transitions.items()})
+        loss = loss + 0.1 * mmd(list(out.latent.values()))
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return (time.process_time() - began) / steps
+
+
+def lightning_loop(data: TransferDataModule, steps: int, terms: list[str]) -> float:
+    """CPU seconds a step of the same by the Alignment phase under a Trainer with this project's callbacks."""
+    policy = PortablePolicy(data.specs, data.tasks, data.statistics())
+    phase = Alignment(policy, terms, epochs=1)  # type: ignore[arg-type]
+    timer = StepTimer()
+    trainer = Trainer(
+        max_epochs=1,
+        limit_train_batches=steps,
+        logger=False,
+        callbacks=[FreezeGuard(), FiniteGuard(), RandomState(), timer],
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    trainer.fit(phase, datamodule=data)
+    return timer.seconds / steps
+
+
+class StepTimer(RandomState):
+    """CPU seconds between the beginning and the end of training."""
+
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: object) -> None:  # type: ignore[override]
+        """Begin."""
+        self.began = time.process_time()
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: object) -> None:  # type: ignore[override]
+        """End."""
+        self.seconds = time.process_time() - self.began
+
+
+def loader_alone(data: TransferDataModule, steps: int) -> float:
+    """CPU seconds to gather one batch."""
+    batches = iter(data.loader("proxies"))
+    next(batches)
+    began = time.process_time()
+    for _ in range(steps - 1):
+        next(batches)
+    return (time.process_time() - began) / (steps - 1)
+
+
+def main() -> None:
+    """Print medians and ratios over several turns."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--batch_size", type=int, default=512)
+    parser.add_argument("--steps", type=int, default=300)
+    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--pairs", type=int, default=32)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    with TemporaryDirectory() as folder:
+        data = make_data(Path(folder), options.batch_size, options.steps, options.pairs)
+        rows = []
+        for _ in range(options.turns):
+            plain = plain_loop(data, options.steps)
+            ours = lightning_loop(data, options.steps, ["mmd"])
+            with_tcc = lightning_loop(data, options.steps, ["mmd", "tcc"])
+            rows.append((plain, ours, with_tcc, loader_alone(data, options.steps)))
+    plain, ours, with_tcc, loader = (statistics.median(column) for column in zip(*rows, strict=True))
+    print(f"plain loop            {plain * 1e3:7.2f} ms a step")
+    print(f"Alignment phase       {ours * 1e3:7.2f} ms, {statistics.median(r[1] / r[0] for r in rows):.3f} x plain")
+    print(f"… with TCC            {with_tcc * 1e3:7.2f} ms, {statistics.median(r[2] / r[1] for r in rows):.3f} x without")
+    print(f"gathering a batch     {loader * 1e3:7.3f} ms, {loader / ours:.1%} of a step, ", end="")
+    print(f"{options.batch_size / loader:,.0f} samples/s")
+
+
+if __name__ == "__main__":
+    main()
