@@ -145,7 +145,9 @@ def main() -> None:
     plain, ours, with_tcc, loader = (statistics.median(column) for column in zip(*rows, strict=True))
     print(f"plain loop            {plain * 1e3:7.2f} ms a step")
     print(f"Alignment phase       {ours * 1e3:7.2f} ms, {statistics.median(r[1] / r[0] for r in rows):.3f} x plain")
-    print(f"… with TCC            {with_tcc * 1e3:7.2f} ms, {statistics.median(r[2] / r[1] for r in rows):.3f} x without")
+    print(
+        f"… with TCC            {with_tcc * 1e3:7.2f} ms, {statistics.median(r[2] / r[1] for r in rows):.3f} x without"
+    )
     print(f"gathering a batch     {loader * 1e3:7.3f} ms, {loader / ours:.1%} of a step, ", end="")
     print(f"{options.batch_size / loader:,.0f} samples/s")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,8 @@ def generator(*key: int) -> np.random.Generator:
 def shuffled(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """``count`` of ``rows``, each once before any comes again."""
     rounds = -(-count // len(rows))
-    return np.concatenate([rng.permutation(rows) for _ in range(rounds)])[:count]
+    drawn: np.ndarray = np.concatenate([rng.permutation(rows) for _ in range(rounds)])[:count]
+    return drawn
 
 
 class AlignmentOrder:
@@ -121,7 +122,7 @@ class PairOrder:
         drawn = np.stack([self._pick(domain, tasks, rng) for domain in (first, second)])
         return PairDraw((first, second), drawn, rng.random((2, self.count)))
 
-    def _pick(self, domain: str, tasks: Sequence[int], rng: np.random.Generator) -> np.ndarray:
+    def _pick(self, domain: str, tasks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         pools = [self.episodes[domain][task] for task in tasks]
         spot = rng.random(len(pools))
         return np.array([pool[int(u * len(pool))] for pool, u in zip(pools, spot, strict=True)])

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
@@ -200,7 +200,8 @@ class TransferDataModule(LightningDataModule):
     def episodes_for_pair(self, domain: str, task: str) -> np.ndarray:
         """Training trajectories of one proxy task in a domain."""
         train = self.episodes(domain, self.proxies, "train")
-        return train[self.tables[domain].episode_task[train] == self.tasks.index(task)]
+        ids: np.ndarray = train[self.tables[domain].episode_task[train] == self.tasks.index(task)]
+        return ids
 
     def train_dataloader(self) -> Loader:
         """Batches for the phase that the trainer runs, from where a resumed run stopped."""
@@ -225,8 +226,7 @@ class TransferDataModule(LightningDataModule):
     def _phase_demand(self) -> Demand:
         if self.trainer is None:
             return "proxies"
-        demand: Demand = self.trainer.lightning_module.demand
-        return demand
+        return cast("Demand", self.trainer.lightning_module.demand)
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -6,7 +6,7 @@ size of a domain, ``A`` action size of a domain, ``Z`` latent size, ``K`` tasks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
@@ -30,10 +30,13 @@ class Observation(NamedTuple, Generic[ArrayT]):
     image: ArrayT | None = None
     """Uint8 of shape ``(..., H, W, C)``, or None in a domain without a camera."""
 
-    def take(self, rows: Any) -> Observation[ArrayT]:
+    def take(self: Observation[ArrayT], rows: Any) -> Observation[ArrayT]:  # type: ignore[misc]  # a generic NamedTuple
         """The observation at ``rows`` (an index, a slice or an index array) of the first axis."""
-        image = None if self.image is None else self.image[rows]
-        return Observation(self.state[rows], image)
+        return self.map(lambda x: x[rows])
+
+    def map(self: Observation[ArrayT], change: Callable[[ArrayT], Any]) -> Observation[Any]:  # type: ignore[misc]
+        """The observation with ``change`` applied to every array in it."""
+        return Observation(change(self.state), None if self.image is None else change(self.image))
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,7 @@ class Sequences(NamedTuple):
 
     observation: Observation[Tensor]
     """State ``(F, O)``, image ``(F, H, W, C)``: the frames of all P trajectories."""
-    index: Tensor
+    frame: Tensor
     """``(P, T)`` int64: which frame is step t of trajectory p; 0 where ``mask`` is False."""
     mask: Tensor
     """``(P, T)`` bool: False behind the end of a trajectory."""

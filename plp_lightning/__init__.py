@@ -1,0 +1,1 @@
+"""Cross-domain policy transfer: align a latent space on proxy tasks, adapt the common policy, act elsewhere."""

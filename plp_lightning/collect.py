@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
-import os
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
@@ -18,6 +18,7 @@ from datamodules.hdf5 import TrajectoryFile, add_trajectories
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.rollout import rollout
+from plp_lightning.envs.threads import available_cores
 from plp_lightning.progress import JobProgress
 from plp_lightning.seeding import episode_seed
 from plp_lightning.versions import versions
@@ -87,7 +88,7 @@ class ExpertCollector:
         return [Job(domain, task, n, known.get(domain, frozenset())) for domain, task, n in pairs]
 
     def _collect(self, jobs: list[Job]) -> Iterator[Trajectory]:
-        total, processes = sum(job.count for job in jobs), self.recipe.processes or os.cpu_count() or 1
+        total, processes = sum(job.count for job in jobs), self.recipe.processes or available_cores()
         with (
             JobProgress("collecting", total, "demonstrations") as progress,
             ProcessPoolExecutor(
@@ -120,24 +121,23 @@ def demonstrate(job: Job, recipe: Recipe) -> list[Trajectory]:
         UserError: If the expert fails so often that ``recipe.attempts`` times the wanted number don't suffice.
     """
     made: list[Trajectory] = []
-    attempt = 0
+    attempts = 0
+    seeds = (episode_seed("collect", recipe.seed, job.domain, job.task, i) for i in itertools.count())
+    unknown = (seed for seed in seeds if seed not in job.known_seeds)
     while len(made) < job.count:
-        if attempt >= recipe.attempts * job.count + 10:
+        if attempts >= recipe.attempts * job.count + 10:
             raise UserError(
-                f"expert of domain {job.domain!r} solved task {job.task!r} {len(made)} times in {attempt} attempts; "
+                f"expert of domain {job.domain!r} solved task {job.task!r} {len(made)} times in {attempts} attempts; "
                 f"{job.count} demonstrations were asked for; mend the expert or raise --collection.attempts"
             )
-        wave = range(attempt, attempt + max(4, job.count - len(made)))
-        seeds = [episode_seed("collect", recipe.seed, job.domain, job.task, i) for i in wave]
-        made += _attempt(job, [seed for seed in seeds if seed not in job.known_seeds], recipe)
-        attempt = wave.stop
+        wave = list(itertools.islice(unknown, max(4, job.count - len(made))))
+        made += _attempt(job, wave, recipe)
+        attempts += len(wave)
     return made[: job.count]
 
 
 def _attempt(job: Job, seeds: list[int], recipe: Recipe) -> list[Trajectory]:
     domain = _domains[job.domain]
-    if not seeds:
-        return []
     tasks = [job.task] * len(seeds)
     recorder = Recorder(domain, tasks, seeds, recipe.noise)
     episodes = rollout(domain.simulator, recorder.act, tasks, seeds, recipe.linger)
@@ -160,14 +160,14 @@ class Recorder:
     def __init__(self, domain: Domain, tasks: list[str], seeds: list[int], noise: float) -> None:
         assert domain.expert is not None
         self.expert, self.noise = domain.expert, noise
-        self.begin = lambda: self.expert.begin(domain.simulator, tasks, seeds)
+        self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
         self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
         self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """The expert's actions, with noise if asked for."""
         if not self.steps:
-            self.begin()
+            self.expert.begin(self.simulator, self.tasks, self.seeds)
         actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
         self.steps.append((episodes, observation, actions))
         if self.noise == 0:

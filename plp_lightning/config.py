@@ -6,7 +6,7 @@ import argparse
 import difflib
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +174,7 @@ def _read_yaml(path: Path) -> Mapping[str, Any]:
 
 
 def explain(message: str, parser: ArgumentParser) -> str:
-    """jsonargparse's many lines → one, with the nearest valid key."""
+    """Jsonargparse's many lines → one, with the nearest valid key."""
     lines = [line.strip(" -") for line in message.splitlines() if line.strip()]
     unknown = re.search(
         r"(?:'([\w.]+)' is not (?:accepted|expected)|nrecognized arguments: --?([\w.]+)|Key '([\w.]+)')", message

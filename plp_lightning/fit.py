@@ -30,7 +30,6 @@ from plp_lightning.policy import PortablePolicy
 from plp_lightning.results import log_hyperparameters, write_results
 from plp_lightning.run import RunDirectory
 
-
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
     r"The number of training batches .* is smaller than the logging interval",

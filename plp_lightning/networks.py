@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
@@ -10,7 +12,7 @@ def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
     """``layers`` hidden layers of ``hidden`` GELU units, then one linear layer."""
     sizes = [inputs] + [hidden] * layers
     blocks: list[nn.Module] = []
-    for size_in, size_out in zip(sizes, sizes[1:], strict=False):
+    for size_in, size_out in pairwise(sizes):
         blocks += [nn.Linear(size_in, size_out), nn.GELU()]
     return nn.Sequential(*blocks, nn.Linear(sizes[-1], outputs))
 

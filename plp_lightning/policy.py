@@ -95,7 +95,7 @@ class PortablePolicy(nn.Module):
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
         width = max(len(columns) for columns in self.context_columns.values())
         context = [self._pad(self._context(obs, d), d, width) for d, obs in observation.items()]
-        actions = _split(self.decoder(torch.cat(list(plan.values())), torch.cat(context)), observation)
+        actions = _split(self.decoder(torch.cat([plan[domain] for domain in observation]), torch.cat(context)), observation)
         return {domain: action[:, : self.domains[domain].action_size] for domain, action in actions.items()}
 
     def plan(self, latent: Parts, task: Parts) -> dict[str, Tensor]:
@@ -113,7 +113,7 @@ class PortablePolicy(nn.Module):
     def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
         """Actions ``(B, A)`` for B observations of ``domain``, each with the name of its task."""
         device = next(self.parameters()).device
-        seen = {domain: Observation(*(None if x is None else torch.as_tensor(x, device=device) for x in observation))}
+        seen = {domain: observation.map(lambda x: torch.as_tensor(x, device=device))}
         ids = torch.tensor([self.tasks[name] for name in task], device=device)
         actions: np.ndarray = self(seen, {domain: ids}).action[domain].cpu().numpy()
         return actions
@@ -122,7 +122,8 @@ class PortablePolicy(nn.Module):
         columns = self.context_columns[domain]
         if not columns:
             return observation.state[:, :0]
-        return self.scaler(observation.state, domain)[:, columns]
+        scaled: Tensor = self.scaler(observation.state, domain)
+        return scaled[:, columns]
 
     def _pad(self, x: Tensor, domain: str, width: int) -> Tensor:
         """``(B, n)`` → ``(B, width + D)``: zeros up to ``width``, then the one-hot domain id."""

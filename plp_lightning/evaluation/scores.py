@@ -66,5 +66,4 @@ def sample_states(data: TransferDataModule, domain: str, count: int) -> Observat
 def encode(policy: PortablePolicy, domain: str, observation: Observation[Tensor]) -> Tensor:
     """Latent states ``(N, Z)`` on the CPU."""
     device = next(policy.parameters()).device
-    there = Observation(*(None if x is None else x.to(device) for x in observation))
-    return policy.encode({domain: there})[domain].cpu()
+    return policy.encode({domain: observation.map(lambda x: x.to(device))})[domain].cpu()

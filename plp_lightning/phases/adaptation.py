@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.transfer import Demand
-from datamodules.types import Batch
+from datamodules.types import Batch, Observation
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.phases.base import Phase
 from plp_lightning.policy import PortablePolicy
@@ -50,9 +50,8 @@ class Adaptation(Phase):
             parts = [self._encode(domain, table.take(rows).observation) for rows in chunks]
             self.latents[domain] = torch.cat(parts)
 
-    def _encode(self, domain: str, observation: object) -> Tensor:
-        batch = self.policy.encode({domain: self.trainer.strategy.batch_to_device(observation)})
-        return batch[domain]
+    def _encode(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        return self.policy.encode({domain: observation.map(lambda x: x.to(self.device))})[domain]
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Behavioural cloning on the target task and the mixed-in alignment data."""

@@ -92,7 +92,7 @@ class Alignment(Phase):
 
     def _tcc(self, sequences: Sequence[tuple[Tensor, Sequences]]) -> Tensor:
         (first, of_first), (second, of_second) = sequences
-        return tcc(first[of_first.index], of_first.mask, second[of_second.index], of_second.mask, self.tcc_similarity)
+        return tcc(first[of_first.frame], of_first.mask, second[of_second.frame], of_second.mask, self.tcc_similarity)
 
     @staticmethod
     def _size(batch: Batch) -> int:

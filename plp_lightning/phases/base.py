@@ -59,7 +59,8 @@ class Phase(LightningModule):
     @property
     def logs_now(self) -> bool:
         """Whether loggers write this training step down; in all others nothing is gathered for them."""
-        return (self.trainer.global_step + 1) % self.trainer.log_every_n_steps == 0
+        every: int = self.trainer.log_every_n_steps  # type: ignore[attr-defined]
+        return (self.trainer.global_step + 1) % every == 0
 
     def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
         """Losses of a training step, as ``train/<name>``."""
