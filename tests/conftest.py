@@ -1,0 +1,57 @@
+"""What all tests share: one thread, no screen, and one small trajectory file for the whole session."""
+
+from __future__ import annotations
+
+import os
+
+# Before any library starts its threads or its plots.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import tiny
+import torch
+from hypothesis import settings
+from lightning.pytorch import Callback, Trainer
+
+from datamodules.hdf5 import write_trajectories
+from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO
+from plp_lightning.fit import quiet_lightning
+
+torch.set_num_threads(1)
+settings.register_profile("plp", deadline=None, derandomize=True, database=None)
+settings.load_profile("plp")
+
+
+@pytest.fixture(scope="session")
+def trajectory_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four demonstrations of each task in both synthetic domains: of the target in the target domain too."""
+    path = tmp_path_factory.mktemp("data") / "synthetic.hdf5"
+    specs = [domain.simulator.spec(name) for name, domain in tiny.domains().items()]
+    write_trajectories(path, specs, tiny.TASKS, tiny.demonstrations(4), {"command": "tests"})
+    return path
+
+
+@pytest.fixture
+def make_trainer(tmp_path: Path) -> Callable[..., Trainer]:
+    """Lightning's Trainer as runs have it, without loggers unless they are given."""
+
+    def make(*callbacks: Callback, epochs: int = 2, logger: object = False) -> Trainer:
+        quiet_lightning()
+        return Trainer(
+            accelerator="cpu",
+            max_epochs=epochs,
+            default_root_dir=tmp_path,
+            logger=logger,
+            callbacks=list(callbacks),
+            plugins=[AtomicCheckpointIO()],
+            enable_checkpointing=any(type(c).__name__ == "ModelCheckpoint" for c in callbacks),
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            log_every_n_steps=1,
+        )
+
+    return make

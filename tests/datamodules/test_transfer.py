@@ -1,0 +1,252 @@
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+import torch
+
+from datamodules.errors import MissingTrajectoriesError
+from datamodules.hdf5 import TrajectoryFile, write_trajectories
+from datamodules.transfer import TransferDataModule
+from datamodules.types import Batch, Observation, Trajectory
+from plp_lightning.envs.synthetic import LinearPoint
+
+TARGET_ID = tiny.TASKS.index(tiny.TARGET)
+
+
+def write(path: Path, trajectories: list[Trajectory]) -> None:
+    specs = [domain.simulator.spec(name) for name, domain in tiny.domains().items()]
+    write_trajectories(path, specs, tiny.TASKS, trajectories, {})
+
+
+def states_of_target_in_target_domain() -> np.ndarray:
+    made = [t for t in tiny.demonstrations(4) if (t.domain, t.task) == ("tall", tiny.TARGET)]
+    return np.concatenate([t.observation.state for t in made])
+
+
+def batches(data: TransferDataModule) -> list[Batch]:
+    return [b for demand in ("proxies", "pairs", "mix") for _ in range(2) for b in data.loader(demand)]
+
+
+# -- the target task in the target domain ------------------------------------------------------------
+
+
+def test_the_file_does_hold_the_target_in_the_target_domain(trajectory_file: Path) -> None:
+    with TrajectoryFile.open(trajectory_file) as file:
+        assert file.counts()["tall"][tiny.TARGET] == 4
+
+
+def test_tables_never_hold_the_target_in_the_target_domain(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file, trajectories=1000)
+    secret = {tuple(state) for state in states_of_target_in_target_domain().tolist()}
+    assert TARGET_ID not in data.tables["tall"].task
+    assert TARGET_ID not in data.tables["tall"].episode_task
+    assert not secret & {tuple(state) for state in data.tables["tall"].observation.state.tolist()}
+    assert (data.tables["flat"].episode_task == TARGET_ID).sum() == 4
+
+
+def test_no_batch_holds_the_target_in_the_target_domain(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    secret = {tuple(state) for state in states_of_target_in_target_domain().tolist()}
+    for batch in batches(data):
+        parts = [part["tall"] for part in (batch.transitions, batch.pairs) if "tall" in part]
+        assert not secret & {tuple(row) for part in parts for row in part.observation.state.tolist()}
+    held_out = [*data.val_dataloader()]
+    assert all(TARGET_ID not in b.transitions["tall"].task for b in held_out if "tall" in b.transitions)
+
+
+def test_alignment_batches_and_statistics_hold_no_target_at_all(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    for demand in ("proxies", "pairs"):
+        for batch in data.loader(demand):
+            assert all(TARGET_ID not in steps.task for steps in batch.transitions.values())
+    for domain, found in data.statistics().items():
+        rows = np.isin(data.tables[domain].episode_task, [TARGET_ID])
+        train = [e for e in data.episodes(domain, tiny.PROXIES, "train") if not rows[e]]
+        offset = data.tables[domain].offset
+        state = np.concatenate([data.tables[domain].observation.state[offset[e] : offset[e + 1]] for e in train])
+        np.testing.assert_allclose(found.mean, state.mean(axis=0, dtype=np.float64))
+        np.testing.assert_allclose(found.std, state.std(axis=0, dtype=np.float64))
+
+
+def test_pairs_never_show_the_target(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    table = data.tables["flat"]
+    target = {tuple(row) for row in table.observation.state[table.task == TARGET_ID].tolist()}
+    for batch in data.loader("pairs"):
+        assert not target & {tuple(row) for row in batch.pairs["flat"].observation.state.tolist()}
+
+
+# -- demand ------------------------------------------------------------------------------------------
+
+
+def test_trajectories_are_shared_out_among_tasks_rounding_up(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file, trajectories=15, target_trajectories=4)
+    proxies = dict.fromkeys(tiny.PROXIES, 3)
+    assert data.demand() == {"flat": proxies | {tiny.TARGET: 4}, "tall": proxies}
+
+
+def test_missing_is_demand_without_what_the_file_holds(trajectory_file: Path, tmp_path: Path) -> None:
+    assert tiny.data_module(trajectory_file).missing() == {}
+    more = tiny.data_module(trajectory_file, target_trajectories=9)
+    assert more.missing() == {"flat": {tiny.TARGET: 5}}
+    nothing = tiny.data_module(tmp_path / "none.hdf5")
+    assert nothing.missing() == nothing.demand()
+
+
+def test_prepare_data_asks_the_collector_for_what_is_missing_once(tmp_path: Path) -> None:
+    calls: list[Mapping[str, Mapping[str, int]]] = []
+
+    def collector(path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+        calls.append(missing)
+        write(path, tiny.demonstrations(4))
+
+    data = tiny.data_module(tmp_path / "new" / "data.hdf5")
+    data.collector = collector
+    data.prepare_data()
+    data.prepare_data()
+    assert calls == [data.demand()]
+
+
+def test_without_a_collector_missing_demonstrations_are_named(tmp_path: Path) -> None:
+    data = tiny.data_module(tmp_path / "none.hdf5")
+    message = r"none.hdf5: 60 demonstrations are missing \(first: 4 of task 'goal_0' in domain 'flat'\)"
+    with pytest.raises(MissingTrajectoriesError, match=message) as caught:
+        data.prepare_data()
+    assert "\n" not in str(caught.value)
+
+
+# -- which trajectories ------------------------------------------------------------------------------
+
+
+def test_only_the_wanted_number_of_trajectories_is_used(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file, trajectories=14, target_trajectories=3)
+    flat = data.tables["flat"].episode_task
+    assert [int((flat == k).sum()) for k in range(8)] == [2, 2, 2, 3, 2, 2, 2, 2]
+
+
+def test_what_is_used_does_not_change_when_the_file_grows(trajectory_file: Path, tmp_path: Path) -> None:
+    grown = tmp_path / "grown.hdf5"
+    write(grown, list(reversed(tiny.demonstrations(6))))
+    before = tiny.data_module(trajectory_file, trajectories=14, target_trajectories=3)
+    after = tiny.data_module(grown, trajectories=14, target_trajectories=3)
+    assert before.fingerprint == after.fingerprint
+    for domain in ("flat", "tall"):
+        held_out = before.episodes(domain, tiny.PROXIES, "held_out")
+        assert held_out.tolist() == after.episodes(domain, tiny.PROXIES, "held_out").tolist()
+    one, other = ([b.transitions["flat"].row.tolist() for b in d.loader("mix")] for d in (before, after))
+    assert one == other
+
+
+def test_the_fingerprint_tells_other_data_apart(trajectory_file: Path) -> None:
+    prints = {
+        tiny.data_module(trajectory_file, trajectories=14).fingerprint,
+        tiny.data_module(trajectory_file, trajectories=28).fingerprint,
+        tiny.data_module(trajectory_file, trajectories=28, target_trajectories=3).fingerprint,
+    }
+    assert len(prints) == 3
+    assert tiny.data_module(trajectory_file, seed=9).fingerprint in prints
+
+
+@pytest.mark.parametrize("held_out", [0.0, 0.05, 0.2, 0.5])
+@pytest.mark.parametrize("tasks", [tiny.PROXIES, (tiny.TARGET,)])
+def test_held_out_and_training_trajectories_share_nothing(
+    trajectory_file: Path, held_out: float, tasks: tuple[str, ...]
+) -> None:
+    data = tiny.data_module(trajectory_file, held_out=held_out)
+    for domain, table in data.tables.items():
+        train, kept = (data.episodes(domain, tasks, part) for part in ("train", "held_out"))
+        everything = table.episodes_of(np.array([data.tasks.index(task) for task in tasks]))
+        assert sorted([*train, *kept]) == everything.tolist()
+        assert len(kept) == (max(1, round(held_out * len(everything))) if held_out and len(everything) else 0)
+
+
+def test_training_batches_hold_no_held_out_step(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file, held_out=0.3)
+    for tasks, demands in ((tiny.PROXIES, ("proxies", "pairs", "mix")), ((tiny.TARGET,), ("mix",))):
+        kept = {domain: set(rows.tolist()) for domain, rows in data.rows(tasks, "held_out").items()}
+        assert kept["flat"]
+        for demand in demands:
+            used = [(d, r) for b in data.loader(demand) for d, s in b.transitions.items() for r in s.row.tolist()]
+            assert not [(d, r) for d, r in used if r in kept.get(d, set())]
+
+
+def test_paired_trajectories_are_training_trajectories(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file, held_out=0.3)
+    for domain in data.domains:
+        kept = set(data.episodes(domain, tiny.PROXIES, "held_out").tolist())
+        paired = [e for task in tiny.PROXIES for e in data.episodes_for_pair(domain, task).tolist()]
+        assert sorted(paired) == data.episodes(domain, tiny.PROXIES, "train").tolist()
+        assert not kept & set(paired)
+
+
+def test_the_split_does_not_depend_on_the_seed_of_the_run(trajectory_file: Path) -> None:
+    one, other = (tiny.data_module(trajectory_file, seed=seed) for seed in (0, 1))
+    assert (
+        one.episodes("tall", tiny.PROXIES, "train").tolist() == other.episodes("tall", tiny.PROXIES, "train").tolist()
+    )
+
+
+# -- batches -----------------------------------------------------------------------------------------
+
+
+def test_tables_hold_the_demonstrations_as_they_were_made(trajectory_file: Path) -> None:
+    table = tiny.data_module(trajectory_file).tables["flat"]
+    made = sorted((t for t in tiny.demonstrations(4) if t.domain == "flat"), key=lambda t: tiny.TASKS.index(t.task))
+    assert len(table.offset) == len(made) + 1
+    for trajectory, (start, stop) in zip(made, pairwise(table.offset), strict=True):
+        np.testing.assert_array_equal(table.observation.state[start:stop], trajectory.observation.state)
+        np.testing.assert_array_equal(table.action[start:stop], trajectory.actions)
+        assert set(table.task[start:stop].tolist()) == {tiny.TASKS.index(trajectory.task)}
+
+
+def test_a_third_domain_gets_its_share(tmp_path: Path) -> None:
+    third = LinearPoint(5, state_size=2)
+    extra = [
+        Trajectory("third", t.task, Observation(t.observation.state[:, :2]), t.actions, t.seed, True)
+        for t in tiny.demonstrations(4)
+        if t.domain == "flat"
+    ]
+    specs = [*(d.simulator.spec(name) for name, d in tiny.domains().items()), third.spec("third")]
+    write_trajectories(tmp_path / "three.hdf5", specs, tiny.TASKS, [*tiny.demonstrations(4), *extra], {})
+    data = tiny.data_module(tmp_path / "three.hdf5", batch_size=30, domain_names=("flat", "tall", "third"))
+    assert TARGET_ID not in data.tables["third"].task
+    first = next(iter(data.loader("pairs")))
+    assert [(d, len(s.action)) for d, s in first.transitions.items()] == [("flat", 10), ("tall", 10), ("third", 10)]
+    assert {tuple(b.pairs) for b in data.loader("pairs")} == {("flat", "tall"), ("flat", "third"), ("tall", "third")}
+
+
+def test_a_resumed_data_module_goes_on_with_the_next_batch(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    iterator = iter(data.train_dataloader())
+    for _ in range(3):
+        next(iterator)
+    state = data.state_dict()
+    rest = [batch.transitions["tall"].row.tolist() for batch in iterator]
+    resumed = tiny.data_module(trajectory_file)
+    resumed.load_state_dict(state)
+    assert [batch.transitions["tall"].row.tolist() for batch in resumed.train_dataloader()] == rest
+    assert next(iter(resumed.train_dataloader())).transitions["tall"].row.tolist() != rest[0]
+
+
+def test_the_state_is_empty_before_training_and_may_be_loaded(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    assert data.state_dict() == {}
+    data.load_state_dict({})
+    assert data.train_dataloader().state_dict() == {"epoch": 0, "step": 0}
+
+
+def test_batches_stay_where_they_are_on_a_cpu(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    batch = next(iter(data.train_dataloader()))
+    assert data.transfer_batch_to_device(batch, torch.device("cpu"), 0) is batch
+
+
+def test_parts_without_trajectories_are_left_out(trajectory_file: Path) -> None:
+    assert tiny.data_module(trajectory_file, held_out=0.2).parts == ("train", "held_out")
+    assert tiny.data_module(trajectory_file, held_out=0.0).parts == ("train",)
+    assert len(tiny.data_module(trajectory_file, held_out=0.0).val_dataloader()) == 0

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+
+from plp_lightning.networks import ActionDecoder, CommonPolicy, DomainDiscriminator, StateEncoder, mlp
+
+
+def count(module: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+@pytest.mark.parametrize("layers", [0, 1, 3])
+def test_an_mlp_is_hidden_gelu_layers_and_one_linear_layer(layers: int) -> None:
+    net = mlp(5, 7, layers, 2)
+    assert [type(module) for module in net] == [nn.Linear, nn.GELU] * layers + [nn.Linear]
+    x = torch.randn(4, 5)
+    by_hand = x
+    for module in [m for m in net if isinstance(m, nn.Linear)]:
+        inner = by_hand @ module.weight.T + module.bias
+        by_hand = inner if module is net[-1] else inner * 0.5 * (1 + torch.erf(inner / 2**0.5))
+    torch.testing.assert_close(net(x), by_hand)
+
+
+def test_sizes_by_hand() -> None:
+    assert count(mlp(5, 7, 3, 2)) == (5 * 7 + 7) + 2 * (7 * 7 + 7) + (7 * 2 + 2)
+    assert count(StateEncoder(6, 8, 16, 2)) == (6 * 16 + 16) + (16 * 16 + 16) + (16 * 8 + 8)
+    assert count(CommonPolicy(8, 5, 16, 1)) == (13 * 16 + 16) + (16 * 8 + 8)
+    assert count(ActionDecoder(8, 3, 2, 16, 1)) == (11 * 16 + 16) + (16 * 2 + 2)
+    assert count(DomainDiscriminator(8, 3, 16, 1)) == (8 * 16 + 16) + (16 * 3 + 3)
+
+
+def test_the_common_policy_sees_the_task_one_hot() -> None:
+    common = CommonPolicy(4, tasks=3, hidden=8, layers=1)
+    latent = torch.randn(3, 4)
+    by_hand = common.net(torch.cat([latent, torch.eye(3)[[2, 0, 1]]], dim=1))
+    torch.testing.assert_close(common(latent, torch.tensor([2, 0, 1])), by_hand)
+
+
+def test_decoded_actions_lie_within_bounds() -> None:
+    decoder = ActionDecoder(4, 2, 3, hidden=8, layers=1)
+    actions = decoder(torch.randn(50, 4) * 1000, torch.randn(50, 2) * 1000)
+    assert actions.shape == (50, 3)
+    assert actions.abs().max() <= 1
+    assert actions.abs().max() > 0.99
+
+
+def test_judging_gives_the_same_logits_and_no_gradient_to_the_discriminator() -> None:
+    discriminator = DomainDiscriminator(4, 2, hidden=8, layers=2)
+    latent = torch.randn(5, 4, requires_grad=True)
+    logits = discriminator.judge(latent)
+    torch.testing.assert_close(logits, discriminator(latent))
+    logits.square().sum().backward()
+    assert latent.grad is not None
+    assert latent.grad.abs().sum() > 0
+    assert all(parameter.grad is None for parameter in discriminator.parameters())

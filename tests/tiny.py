@@ -1,0 +1,102 @@
+"""Two small synthetic domains, their demonstrations, and a small policy for them."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules.normalization import Statistics
+from datamodules.table import Table, build_table
+from datamodules.transfer import TransferDataModule
+from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
+from plp_lightning import collect
+from plp_lightning.collect import Job, Recipe, demonstrate
+from plp_lightning.envs.base import Domain
+from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
+from plp_lightning.policy import PortablePolicy
+
+TASKS = LinearPoint(1).tasks
+TARGET = "goal_3"
+PROXIES = tuple(task for task in TASKS if task != TARGET)
+
+
+def domains() -> dict[str, Domain]:
+    """A source domain with 3 state columns and a target domain with 5."""
+    return {
+        "flat": Domain(LinearPoint(1, state_size=3), LinearPointExpert()),
+        "tall": Domain(LinearPoint(2, state_size=5), LinearPointExpert()),
+    }
+
+
+@cache
+def demonstrations(count: int) -> list[Trajectory]:
+    """``count`` demonstrations of each task in each domain."""
+    collect._begin_process(domains())
+    jobs = [Job(domain, task, count, frozenset()) for domain in domains() for task in TASKS]
+    return [made for job in jobs for made in demonstrate(job, Recipe())]
+
+
+def data_module(
+    path: Path,
+    trajectories: int = 28,
+    target_trajectories: int = 4,
+    held_out: float = 0.2,
+    batch_size: int = 32,
+    mix: float = 2.0,
+    seed: int = 0,
+    domain_names: tuple[str, ...] = ("flat", "tall"),
+) -> TransferDataModule:
+    """Demonstrations of the file at ``path``: flat is the source, tall the target domain."""
+    return TransferDataModule(
+        path,
+        TASKS,
+        PROXIES,
+        (TARGET,),
+        domain_names,
+        "flat",
+        "tall",
+        TARGET,
+        trajectories=trajectories,
+        target_trajectories=target_trajectories,
+        held_out=held_out,
+        batch_size=batch_size,
+        pairs=6,
+        stride=4,
+        mix=mix,
+        seed=seed,
+    )
+
+
+def spec(name: str, state: int, actions: int) -> DomainSpec:
+    """A domain with two state keys: ``a`` of one column, ``b`` of the others."""
+    keys = (ObservationKey("a", (1,)), ObservationKey("b", (state - 1,)))
+    return DomainSpec(name, keys, actions, control_hz=10.0)
+
+
+def table(domain: DomainSpec, lengths: list[int], tasks: list[int]) -> Table:
+    """Trajectories of the given lengths and tasks; the state of row n is n in every column."""
+    steps = sum(lengths)
+    state = np.repeat(np.arange(steps, dtype=np.float32)[:, None], domain.state_size, axis=1)
+    actions = np.random.default_rng(0).uniform(-1, 1, (steps, domain.action_size)).astype(np.float32)
+    offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    return build_table(domain, state, None, actions, offset, np.array(tasks))
+
+
+def statistics(domain: DomainSpec, seed: int) -> Statistics:
+    """Made-up statistics, different for each seed."""
+    rng = np.random.default_rng(seed)
+    return Statistics(rng.normal(size=domain.state_size), rng.uniform(0.5, 2, domain.state_size))
+
+
+def policy(data: TransferDataModule) -> PortablePolicy:
+    """A small policy for the domains of ``data``, always with the same weights."""
+    torch.manual_seed(0)
+    return PortablePolicy(data.specs, data.tasks, data.statistics(), latent=8, hidden=16, decoder_state="all")
+
+
+def observe(state: np.ndarray) -> Observation[torch.Tensor]:
+    """States as a policy takes them in training."""
+    return Observation(torch.from_numpy(np.asarray(state, dtype=np.float32)))
