@@ -95,7 +95,8 @@ class PortablePolicy(nn.Module):
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
         width = max(len(columns) for columns in self.context_columns.values())
         context = [self._pad(self._context(obs, d), d, width) for d, obs in observation.items()]
-        actions = _split(self.decoder(torch.cat([plan[domain] for domain in observation]), torch.cat(context)), observation)
+        joined = torch.cat([plan[domain] for domain in observation])
+        actions = _split(self.decoder(joined, torch.cat(context)), observation)
         return {domain: action[:, : self.domains[domain].action_size] for domain, action in actions.items()}
 
     def plan(self, latent: Parts, task: Parts) -> dict[str, Tensor]:

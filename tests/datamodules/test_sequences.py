@@ -30,7 +30,8 @@ def test_thinned_trajectories_agree_with_a_loop(
     phase = np.array(phases[: len(episodes)])
     table = tiny.table(SPEC, lengths, [0] * len(lengths))
     found = thin_out(table, episodes, phase, stride)
-    expected = [[table.offset[e] + t for t in frames_of(lengths[e], p, stride)] for e, p in zip(episodes, phase)]
+    kept = [frames_of(lengths[e], p, stride) for e, p in zip(episodes, phase, strict=True)]
+    expected = [[table.offset[e] + t for t in frames] for e, frames in zip(episodes, kept, strict=True)]
     longest = max(map(len, expected))
     assert found.mask.shape == found.frame.shape == (len(episodes), longest)
     for row, frames in enumerate(expected):
