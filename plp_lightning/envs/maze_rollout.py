@@ -8,17 +8,18 @@ row and its actions.
 
 from __future__ import annotations
 
-import ctypes
-import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, cast
 
+import llvmlite.binding  # type: ignore[import-untyped, unused-ignore]  # has no stubs
 import mujoco
 import numba
-import numba.experimental.function_type  # lets numba pass C functions as arguments, so that its cache holds
 import numpy as np
 from numba import types
+
+from plp_lightning.envs.threads import available_cores
 
 STATE = np.uint32(
     mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL
@@ -27,6 +28,21 @@ CHUNK = 8
 """Episodes that a thread takes at a time: small, so that no core waits for a slow one."""
 DIVERGED = 1e6
 """A state beyond this in any coordinate has blown up."""
+
+# Compiled code finds MuJoCo's C functions by name, so that it can be cached on disk.
+llvmlite.binding.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+
+
+def _c_function(name: str, *arguments: types.Type) -> Callable[..., None]:
+    """A C function of MuJoCo for compiled code; pointers are passed as integers."""
+    return cast("Callable[..., None]", types.ExternalFunction(name, types.void(*arguments)))
+
+
+_POINTER = types.uintp
+mj_step = _c_function("mj_step", _POINTER, _POINTER)
+mj_forward = _c_function("mj_forward", _POINTER, _POINTER)
+mj_get_state = _c_function("mj_getState", _POINTER, _POINTER, _POINTER, types.uint32)
+mj_set_state = _c_function("mj_setState", _POINTER, _POINTER, _POINTER, types.uint32)
 
 
 class BatchedPhysics:
@@ -45,9 +61,8 @@ class BatchedPhysics:
         self._model = model
         self._frame_skip = frame_skip
         self._forward = forward
-        self._scratch = [mujoco.MjData(model) for _ in range(threads or len(os.sched_getaffinity(0)))]
+        self._scratch = [mujoco.MjData(model) for _ in range(threads or available_cores())]
         self._pool = ThreadPoolExecutor(len(self._scratch))
-        self._library = _library()
         self.qpos = slice(1, 1 + model.nq)
         self.qvel = slice(1 + model.nq, 1 + model.nq + model.nv)
 
@@ -82,7 +97,7 @@ class BatchedPhysics:
             for start in starts:
                 rows = slice(start, start + CHUNK)
                 batch = after[rows], controls[rows], valid[rows]
-                _advance(self._library, model, data, scratch.ctrl, *batch, forward, frame_skip)
+                _advance(model, data, scratch.ctrl, *batch, forward, frame_skip)
 
         list(self._pool.map(work, self._scratch))
         valid &= (np.abs(after) < DIVERGED).all(axis=1)
@@ -90,41 +105,8 @@ class BatchedPhysics:
         return after, valid
 
 
-class _Library(NamedTuple):
-    """MuJoCo's C functions that the compiled loop calls."""
-
-    step: _CFunction
-    forward: _CFunction
-    set_state: _CFunction
-    get_state: _CFunction
-
-
-class _CFunction(types.WrapperAddressProtocol):
-    """A C function by address, which numba compiles calls to without baking the address in."""
-
-    def __init__(self, function: Any, arguments: int) -> None:
-        self._address = ctypes.cast(function, ctypes.c_void_p).value or 0
-        pointers = (types.uintp,) * min(arguments, 3)
-        self._signature = types.void(*pointers, *(types.uint32,) * (arguments - len(pointers)))
-
-    def __wrapper_address__(self) -> int:
-        """Where the function is."""
-        return self._address
-
-    def signature(self) -> Any:
-        """Its numba signature: pointers, then at most one unsigned int."""
-        return self._signature
-
-
-def _library() -> _Library:
-    library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
-    arguments = {"step": 2, "forward": 2, "setState": 4, "getState": 4}
-    return _Library(*(_CFunction(getattr(library, f"mj_{name}"), count) for name, count in arguments.items()))
-
-
 @numba.njit(nogil=True, cache=True)
 def _advance(
-    library: _Library,
     model: np.uintp,
     data: np.uintp,
     ctrl: np.ndarray,
@@ -137,10 +119,10 @@ def _advance(
     for row in range(len(states)):
         if valid[row]:
             state = states[row].ctypes.data
-            library.set_state(model, data, state, STATE)
+            mj_set_state(model, data, state, STATE)
             if forward:
-                library.forward(model, data)  # the forces of the last controls, as in the environment
+                mj_forward(model, data)  # the forces of the last controls, as in the environment
             ctrl[:] = controls[row]
             for _ in range(frame_skip):
-                library.step(model, data)
-            library.get_state(model, data, state, STATE)
+                mj_step(model, data)
+            mj_get_state(model, data, state, STATE)

@@ -61,7 +61,8 @@ class Symmetry:
             self._renumber(velocities[:, 6:], turns),
             self._rotate(directions, turns),
         )
-        return np.concatenate(parts, axis=1).astype(np.float32)
+        turned: np.ndarray = np.concatenate(parts, axis=1).astype(np.float32)
+        return turned
 
     def torques(self, actions: np.ndarray, turns: np.ndarray) -> np.ndarray:
         """Motor torques ``(m, 2 n)`` of the body from those ``(m, 2 n)`` of the turned body, legs in order."""
