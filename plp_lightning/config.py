@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,16 @@ from plp_lightning.callbacks.latent_picture import LatentPicture  # noqa: F401
 from plp_lightning.collect import ExpertCollector, Recipe
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.experiment import EvaluationPlan, Experiment, PhaseFactory, PolicyFactory, check_roles
+from plp_lightning.experiment import (
+    EvaluationPlan,
+    Experiment,
+    PhaseFactory,
+    PolicyFactory,
+    check_names,
+    check_numbers,
+    check_roles,
+)
+from plp_lightning.explanation import explain
 
 BASE = Path(__file__).parent / "configs" / "base.yaml"
 LINKED = {"path", "tasks", "proxies", "target_tasks", "domains", "seed", "collector"}
@@ -99,26 +106,28 @@ def phase_names(arguments: Sequence[str]) -> list[str]:
     for path in [str(BASE), *option_values(arguments, "config")]:
         names = _read_yaml(Path(path)).get("phases", names)
     for value in option_values(arguments, "phases"):
-        names = yaml.safe_load(value)
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        names = _read_list(value)
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise ConfigError(f"phases is {names!r}; expected a list of names, such as [alignment, adaptation]")
     return names
 
 
 def option_values(arguments: Sequence[str], name: str) -> list[str]:
     """Values of ``--name VALUE`` and ``--name=VALUE``, in order."""
-    following = [b for a, b in zip(arguments, arguments[1:], strict=False) if a == f"--{name}"]
-    return following or [a.split("=", 1)[1] for a in arguments if a.startswith(f"--{name}=")]
+    joined = [a if a != f"--{name}" else f"{a}={b}" for a, b in zip(arguments, [*arguments, ""][1:], strict=True)]
+    return [value for a in joined if a.startswith(f"--{name}=") and (value := a.split("=", 1)[1])]
 
 
 def build(parser: ArgumentParser, config: Namespace) -> Experiment:
     """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet."""
     config.experiment = config.experiment or _experiment_name(config)
+    check_numbers(dict(config.items()), config.phases)
     text = parser.dump(config.clone(), skip_none=False)
     made = parser.instantiate(config)
     for key in ("domains", "method"):
         if not made[key]:
             raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
+    check_names({"experiment": made.experiment, "method": made.method, "data.target": made.data.target})
     return Experiment(
         name=made.experiment,
         method=made.method,
@@ -173,20 +182,8 @@ def _read_yaml(path: Path) -> Mapping[str, Any]:
     return content or {}
 
 
-def explain(message: str, parser: ArgumentParser) -> str:
-    """Jsonargparse's many lines → one, with the nearest valid key."""
-    lines = [line.strip(" -") for line in message.splitlines() if line.strip()]
-    unknown = re.search(
-        r"(?:'([\w.]+)' is not (?:accepted|expected)|nrecognized arguments: --?([\w.]+)|Key '([\w.]+)')", message
-    )
-    told = next((line for line in lines if "not accepted" in line or "not expected" in line), " ".join(lines[:3]))
-    if unknown is None:
-        return told[:400]
-    name = next(group for group in unknown.groups() if group)
-    near = difflib.get_close_matches(name.split(".")[-1], _keys(parser), n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else "; see plp fit --help"
-    return told[:300] + hint
-
-
-def _keys(parser: ArgumentParser) -> list[str]:
-    return sorted({part for action in parser._actions for part in action.dest.split(".")})
+def _read_list(text: str) -> Any:
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        return text

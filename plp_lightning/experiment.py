@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,6 +87,59 @@ class Experiment:
     def build_policy(self) -> PortablePolicy:
         """The policy, untrained, for the domains, tasks and statistics of the data."""
         return self.policy(self.data.specs, self.data.tasks, self.data.statistics())
+
+
+LEAST: Mapping[str, float] = {
+    "seed": 0,
+    "threads": 1,
+    "data.trajectories": 1,
+    "data.target_trajectories": 1,
+    "data.held_out": 0,
+    "data.batch_size": 1,
+    "data.pairs": 1,
+    "data.stride": 1,
+    "data.mix": 0,
+    "collection.attempts": 1,
+    "policy.init_args.latent": 1,
+    "policy.init_args.hidden": 1,
+    "evaluation.episodes": 1,
+    "evaluation.final_episodes": 1,
+    "trainer.max_epochs": 1,
+}
+"""Smallest meaningful value of settings."""
+LEAST_IN_PHASE: Mapping[str, float] = {"init_args.epochs": 1, "init_args.lr": 0, "init_args.weight_decay": 0}
+NAME = re.compile(r"(?!\.+$)[\w.-]{1,64}", re.ASCII)
+"""What can name a folder: no separators, no way out of the folder above."""
+
+
+def check_numbers(settings: Mapping[str, Any], phases: Sequence[str]) -> None:
+    """Every number has to be one that training can begin with.
+
+    Args:
+        settings: By dotted key.
+        phases: Names of the phases, which are keys too.
+
+    Raises:
+        ConfigError: If one is too small, or no trajectory would be left to train on.
+    """
+    least = {**LEAST, **{f"{name}.{key}": value for name in phases for key, value in LEAST_IN_PHASE.items()}}
+    for key, bound in least.items():
+        found = settings.get(key)
+        if found is not None and not found >= bound:
+            raise ConfigError(f"--{key} is {found}; expected at least {bound}; raise it")
+    if settings["data.held_out"] >= 1:
+        raise ConfigError(f"--data.held_out is {settings['data.held_out']}; expected a share below 1; lower it")
+
+
+def check_names(names: Mapping[str, str]) -> None:
+    """Names that become folders have to stay below the run root.
+
+    Raises:
+        ConfigError: If one does not.
+    """
+    for key, name in names.items():
+        if not NAME.fullmatch(name):
+            raise ConfigError(f"{key} is {name!r}; expected up to 64 letters, digits, '.', '_' and '-'; rename it")
 
 
 def check_roles(domains: Mapping[str, Domain], source: str, target: str) -> None:
