@@ -43,7 +43,7 @@ class Assessment:
 
     def success(self, episodes: int | None, seed: int | None) -> dict[str, dict[str, Any]]:
         """Outcome of every trial."""
-        count = episodes or self.experiment.evaluation.final_episodes
+        count = self.experiment.evaluation.final_episodes if episodes is None else episodes
         seed = self.experiment.seed if seed is None else seed
         outcomes = evaluate_all(self.policy, self.experiment.simulators, self.experiment.trials, count, seed)
         return {name: outcome.to_dict() for name, outcome in outcomes.items()}

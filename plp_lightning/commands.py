@@ -13,9 +13,10 @@ from rich.console import Console
 
 from datamodules.errors import ConfigError
 from plp_lightning.assess import Assessment, held_out_losses, predict_actions
-from plp_lightning.config import build_parser, parse, phase_names
+from plp_lightning.config import build_parser, option_values, parse, phase_names
 from plp_lightning.experiment import Experiment
-from plp_lightning.fit import fit
+from plp_lightning.fit import check_trainer, fit
+from plp_lightning.options import OptionParser, positive
 from plp_lightning.results import print_success
 from plp_lightning.run import RunDirectory
 from plp_lightning.versions import versions
@@ -27,27 +28,36 @@ def run_fit(arguments: Sequence[str]) -> None:
         _fit_options().print_help()
         build_parser(phase_names(arguments)).print_help()
         return
-    options, rest = _parse_known(_fit_options(), arguments)
-    if "--print_config" in rest:
-        print(parse([a for a in rest if a != "--print_config"]).config, end="")
-        return
-    if options.resume is not None:
-        _resume(Path(options.resume), rest or options.phase or options.origin)
-        return
-    experiment = parse(rest)
-    wanted = _wanted(experiment, options.phase, options.origin)
-    run = RunDirectory.create(experiment.run_path, experiment.config, _environment())
-    run.write_json("status.json", {"state": "new", "wanted": wanted, "origin": options.origin, "phases": {}})
-    _fit(experiment, run)
+    options, rest = _fit_options().parse_known_args(list(arguments))
+    if options.print_config:
+        print(parse(rest).config, end="")
+    elif options.resume is not None:
+        _resume(Path(options.resume), rest, options.phase or options.origin)
+    else:
+        _begin(parse(rest), options.phase, options.origin)
 
 
-def _resume(path: Path, others: object) -> None:
-    if others:
-        raise ConfigError(
-            "--resume goes on with the run's own configuration; drop the other options or begin a new run"
-        )
+def _begin(experiment: Experiment, phase: str | None, origin: str | None) -> None:
+    wanted = _wanted(experiment, phase, origin)
+    if origin is not None:
+        _check_origin(experiment, Path(origin))
+    check_trainer(experiment)
+    # Absolute, so that the run can be resumed from anywhere.
+    plan = {"wanted": wanted, "origin": None if origin is None else str(Path(origin).resolve())}
+    _fit(experiment, RunDirectory.create(experiment.run_path, experiment.config, _environment(), plan))
+
+
+def _resume(path: Path, rest: list[str], others: str | None) -> None:
     run = RunDirectory.open(path)
-    _fit(parse(["--config", str(run.config)]), run)
+    trusted = [f"--allow_imports={name}" for name in option_values(rest, "allow_imports")]
+    if others or len(rest) > 2 * len(trusted):
+        raise ConfigError(
+            f"--resume goes on with the configuration in {run.config}; drop all options but --allow_imports"
+        )
+    if run.status()["state"] == "done" and run.results.exists():
+        print(f"{path}: done already; its results are in {run.results}")
+        return
+    _fit(parse(["--config", str(run.config), *trusted]), run)
 
 
 def _fit(experiment: Experiment, run: RunDirectory) -> None:
@@ -59,8 +69,12 @@ def _fit(experiment: Experiment, run: RunDirectory) -> None:
 
 def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> list[str]:
     names = list(experiment.phases)
-    if phase is None:
+    if phase is None and origin is None:
         return names
+    if phase is None or (phase in names[:1] and origin is not None):
+        raise ConfigError(
+            f"--from {origin} stands in for the phases before --phase; name one of {', '.join(names[1:])}"
+        )
     if phase not in names:
         raise ConfigError(f"--phase is {phase!r}; the phases of method {experiment.method!r} are {', '.join(names)}")
     if names.index(phase) > 0 and origin is None:
@@ -68,6 +82,16 @@ def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> li
             f"--phase {phase} goes on from an earlier phase; name the run that holds it with --from RUN_DIR"
         )
     return [phase]
+
+
+def _check_origin(experiment: Experiment, path: Path) -> None:
+    """A policy that was aligned on other tasks may have seen the target task in the target domain."""
+    found = parse(["--config", str(RunDirectory.open(path).config)]).data
+    if found.proxies != experiment.data.proxies:
+        raise ConfigError(
+            f"{path}: is aligned on {', '.join(found.proxies)} (for target {found.target!r}), but target "
+            f"{experiment.data.target!r} asks for {', '.join(experiment.data.proxies)}; name a run with this target"
+        )
 
 
 def run_collect(arguments: Sequence[str]) -> None:
@@ -85,10 +109,10 @@ def run_collect(arguments: Sequence[str]) -> None:
 def run_test(arguments: Sequence[str]) -> None:
     """``plp test``: success rates of a run's policy in the simulators."""
     parser = _subject_options("test", "Success rates of a trained policy in the simulators.")
-    parser.add_argument("--episodes", type=int, help="episodes of each trial; the configuration's if not given")
+    parser.add_argument("--episodes", type=positive, help="episodes of each trial; the configuration's if not given")
     parser.add_argument("--episode_seed", type=int, help="seed of the initial states; the run's if not given")
     parser.add_argument("--output", type=Path, help="JSON file to write; test.json in the run directory if not given")
-    options, rest = _parse_known(parser, arguments)
+    options, rest = parser.parse_known_args(list(arguments))
     assessment = _assessment(options, rest)
     outcomes = assessment.success(options.episodes, options.episode_seed)
     print_success(outcomes, f"{assessment.experiment.name} · {assessment.checkpoint}")
@@ -98,7 +122,7 @@ def run_test(arguments: Sequence[str]) -> None:
 def run_validate(arguments: Sequence[str]) -> None:
     """``plp validate``: held-out losses of a run's policy."""
     parser = _subject_options("validate", "Held-out losses and alignment scores of a trained policy.")
-    options, rest = _parse_known(parser, arguments)
+    options, rest = parser.parse_known_args(list(arguments))
     assessment = _assessment(options, rest)
     for name, value in (held_out_losses(assessment) | assessment.scores()).items():
         Console().print(f"{name}: {value:.4f}", highlight=False)
@@ -108,29 +132,35 @@ def run_predict(arguments: Sequence[str]) -> None:
     """``plp predict``: the policy's actions on held-out trajectories, beside the expert's."""
     parser = _subject_options("predict", "Actions of a trained policy on held-out trajectories, as .npz.")
     parser.add_argument("--output", type=Path, help="file to write; predictions.npz in the run directory if not given")
-    options, rest = _parse_known(parser, arguments)
+    options, rest = parser.parse_known_args(list(arguments))
     assessment = _assessment(options, rest)
     print(predict_actions(assessment, options.output or assessment.folder / "predictions.npz"))
 
 
 def _assessment(options: argparse.Namespace, rest: list[str]) -> Assessment:
-    if options.run_dir is not None:
-        if rest:
-            raise ConfigError(f"{rest[0]!r} is not accepted with a run directory, whose own configuration is used")
-        run = RunDirectory.open(options.run_dir)
-        experiment = parse(["--config", str(run.config)])
-        done = [name for name in experiment.phases if run.checkpoint(name).exists()]
-        if not done:
-            raise ConfigError(f"{run.path}: has no checkpoint yet; finish a phase with plp fit --resume {run.path}")
-        return Assessment(experiment, run.checkpoint(options.phase or done[-1], options.which), run.path)
+    if rest and not rest[0].startswith("-"):
+        return _of_run(Path(rest[0]), rest[1:], options)
     if options.checkpoint is None:
-        raise ConfigError("nothing to look at; name a run directory, or --config FILE with --checkpoint FILE")
+        raise ConfigError("nothing to look at; name a run directory first, or --config FILE with --checkpoint FILE")
     return Assessment(parse(rest), options.checkpoint, Path())
 
 
-def _subject_options(verb: str, description: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(f"plp {verb}", description=description, exit_on_error=False)
-    parser.add_argument("run_dir", nargs="?", type=Path, help="run directory")
+def _of_run(path: Path, rest: list[str], options: argparse.Namespace) -> Assessment:
+    if rest:
+        raise ConfigError(f"{rest[0]!r} is not accepted with a run directory, whose own configuration is used")
+    run = RunDirectory.open(path)
+    experiment = parse(["--config", str(run.config)])
+    if options.phase not in (None, *experiment.phases):
+        raise ConfigError(f"--phase is {options.phase!r}; the phases of {path} are {', '.join(experiment.phases)}")
+    done = [name for name in experiment.phases if run.checkpoint(name).exists()]
+    if not done:
+        raise ConfigError(f"{run.path}: has no checkpoint yet; finish a phase with plp fit --resume {run.path}")
+    return Assessment(experiment, run.checkpoint(options.phase or done[-1], options.which), run.path)
+
+
+def _subject_options(verb: str, description: str) -> OptionParser:
+    usage = f"plp {verb} RUN_DIR [options]\n       plp {verb} --config FILE … --checkpoint FILE [options]"
+    parser = OptionParser(f"plp {verb}", usage=usage, description=description, allow_abbrev=False)
     parser.add_argument(
         "--checkpoint", type=Path, help="checkpoint, to be used with --config instead of a run directory"
     )
@@ -139,28 +169,14 @@ def _subject_options(verb: str, description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _fit_options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        "plp fit",
-        description="Train every phase of a method, evaluate and report.",
-        add_help=False,
-        exit_on_error=False,
-    )
+def _fit_options() -> OptionParser:
+    description = "Train every phase of a method, evaluate and report."
+    parser = OptionParser("plp fit", description=description, add_help=False, allow_abbrev=False)
     parser.add_argument("--resume", metavar="RUN_DIR", help="go on where this run stopped; takes no other option")
     parser.add_argument("--phase", help="run this phase alone")
     parser.add_argument("--from", dest="origin", metavar="RUN_DIR", help="run whose earlier phases --phase builds on")
     parser.add_argument("--print_config", action="store_true", help="print the resolved configuration and stop")
     return parser
-
-
-def _parse_known(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
-    try:
-        options, rest = parser.parse_known_args(list(arguments))
-    except argparse.ArgumentError as error:
-        raise ConfigError(f"{error}; see {parser.prog} --help") from None
-    if getattr(options, "print_config", False):
-        rest.append("--print_config")
-    return options, rest
 
 
 def _asks_for_help(arguments: Sequence[str]) -> bool:

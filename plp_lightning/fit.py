@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import Callback, Trainer, seed_everything
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from datamodules.errors import CheckpointError, ConfigError
 from plp_lightning.callbacks.alignment_score import AlignmentMetrics
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
 from plp_lightning.callbacks.evaluation import SimulatorEvaluation
@@ -22,6 +24,7 @@ from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.callbacks.progress import PhaseProgress
+from plp_lightning.demonstrations import prepare_demonstrations
 from plp_lightning.evaluation.simulation import evaluate_all
 from plp_lightning.experiment import Experiment
 from plp_lightning.metrics_file import MetricsFile
@@ -58,24 +61,15 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     torch.set_num_threads(experiment.threads)
     run.update_status("running")
     try:
-        collect(experiment, run)
+        prepare_demonstrations(experiment, run)
         for name in phases:
             if run.phase_record(name).get("state") != "done":
                 run_phase(experiment, run, name, _weights_before(experiment, run, name, origin))
     except BaseException as error:
         run.update_status("preempted" if hasattr(error, "exit_code") else "failed")
         raise
-    write_results(experiment, run)
+    write_results(experiment, run, origin)
     run.update_status("done")
-
-
-def collect(experiment: Experiment, run: RunDirectory) -> None:
-    """Collect missing demonstrations and write down how long it took."""
-    began = time.monotonic()
-    experiment.data.prepare_data()
-    status = run.status()
-    status["collection_seconds"] = status.get("collection_seconds", 0.0) + time.monotonic() - began
-    run.write_json("status.json", status)
 
 
 def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None) -> None:
@@ -95,12 +89,25 @@ def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pat
         load_policy_weights(policy, weights)
     phase = experiment.phases[name](policy)
     last = run.checkpoint(name)
-    resumed_step = read_checkpoint(last)["global_step"] if last.exists() else None
+    resumed_step = _step_of(last) if last.exists() else None
     trainer = build_trainer(experiment, run, name, phase, resumed_step)
     trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
     record = {"state": "done", **assess(experiment, policy)}
     log_hyperparameters(trainer, experiment, record)
     run.update_status("running", name, record | {"seconds": spent + time.monotonic() - began})
+
+
+def check_trainer(experiment: Experiment) -> None:
+    """Find out whether Lightning accepts the ``trainer`` settings, before anything is written.
+
+    Raises:
+        ConfigError: If it does not.
+    """
+    quiet_lightning()
+    try:
+        Trainer(**experiment.trainer, logger=False, enable_checkpointing=False, enable_progress_bar=False)
+    except (MisconfigurationException, ValueError) as error:
+        raise ConfigError(f"trainer: {error}; mend this --trainer option") from None
 
 
 def build_trainer(
@@ -164,10 +171,28 @@ def assess(experiment: Experiment, policy: PortablePolicy) -> dict[str, Any]:
 
 
 def load_policy_weights(policy: PortablePolicy, checkpoint: Path) -> None:
-    """Put the weights, scaling included, of a phase's checkpoint into ``policy``."""
-    state: Mapping[str, torch.Tensor] = read_checkpoint(checkpoint)["state_dict"]
+    """Put the weights, scaling included, of a phase's checkpoint into ``policy``.
+
+    Raises:
+        CheckpointError: If it is of a policy with other domains, tasks or sizes.
+    """
+    content = read_checkpoint(checkpoint)
     prefix = "policy."
-    policy.load_state_dict({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+    state: Mapping[str, torch.Tensor] = content["state_dict"]
+    try:
+        policy.load_state_dict({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+    except RuntimeError as error:
+        found = str(error).strip().splitlines()[-1].strip()
+        raise CheckpointError(
+            f"{checkpoint}: is of another policy ({found}); use the configuration that it was trained with"
+        ) from None
+
+
+def _step_of(checkpoint: Path) -> int:
+    content = read_checkpoint(checkpoint)
+    if "global_step" not in content:
+        raise CheckpointError(f"{checkpoint}: holds weights alone; expected a state to go on from, as plp fit saves it")
+    return int(content["global_step"])
 
 
 def _weights_before(experiment: Experiment, run: RunDirectory, name: str, origin: RunDirectory | None) -> Path | None:

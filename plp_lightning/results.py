@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import yaml
@@ -23,12 +23,18 @@ ROWS = {
 }
 
 
-def write_results(experiment: Experiment, run: RunDirectory) -> dict[str, Any]:
-    """Gather the phases' records into ``results.json`` and print the table."""
+def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None = None) -> dict[str, Any]:
+    """Gather the phases' records into ``results.json`` and print the table.
+
+    Args:
+        experiment: What was run.
+        run: Where it was run.
+        origin: Run whose phases came before this run's.
+    """
     records = [(name, run.phase_record(name)) for name in experiment.phases]
     done = [(name, record) for name, record in records if record.get("state") == "done"]
     last = done[-1][1]
-    before = done[-2][1]["trials"] if len(done) > 1 else {}
+    before = _trials_before(done, list(experiment.phases), origin)
     results = {
         "experiment": experiment.name,
         "method": experiment.method,
@@ -45,6 +51,17 @@ def write_results(experiment: Experiment, run: RunDirectory) -> dict[str, Any]:
     run.write_json("results.json", results)
     print_results(results, run)
     return results
+
+
+def _trials_before(
+    done: Sequence[tuple[str, Mapping[str, Any]]], names: Sequence[str], origin: RunDirectory | None
+) -> Mapping[str, Any]:
+    """Outcomes at the end of the phase before the last one; empty if there is none."""
+    if len(done) > 1:
+        return dict(done[-2][1]["trials"])
+    position = names.index(done[-1][0])
+    record = origin.phase_record(names[position - 1]) if origin is not None and position > 0 else {}
+    return dict(record.get("trials", {}))
 
 
 def _with_before(outcome: Mapping[str, Any], before: Mapping[str, Any] | None) -> dict[str, Any]:

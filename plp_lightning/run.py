@@ -25,8 +25,16 @@ class RunDirectory:
         self.path = path
 
     @classmethod
-    def create(cls, path: Path, config: str, environment: Mapping[str, Any]) -> RunDirectory:
+    def create(
+        cls, path: Path, config: str, environment: Mapping[str, Any], plan: Mapping[str, Any] | None = None
+    ) -> RunDirectory:
         """Begin a run; nothing that exists is overwritten.
+
+        Args:
+            path: Where.
+            config: The resolved configuration as YAML.
+            environment: Command, platform and versions.
+            plan: What a resumed run needs to know too: the phases that are ``wanted`` and their ``origin``.
 
         Raises:
             ConfigError: If there is a run at ``path`` already.
@@ -40,7 +48,7 @@ class RunDirectory:
             )
         path.mkdir(parents=True, exist_ok=True)
         run.write_json("environment.json", environment)
-        run.write_json("status.json", {"state": "new", "phases": {}})
+        run.write_json("status.json", {"state": "new", **(plan or {}), "phases": {}})
         run.write_text("config.yaml", config)
         return run
 
@@ -61,6 +69,11 @@ class RunDirectory:
         """The resolved configuration; it reruns as it is."""
         return self.path / "config.yaml"
 
+    @property
+    def results(self) -> Path:
+        """What the run found; written when its last phase is done."""
+        return self.path / "results.json"
+
     def phase(self, name: str) -> Path:
         """Where a phase keeps its curves and checkpoints."""
         return self.path / name
@@ -70,8 +83,19 @@ class RunDirectory:
         return self.phase(phase) / "checkpoints" / f"{which}.ckpt"
 
     def status(self) -> dict[str, Any]:
-        """State of the run and of each of its phases."""
-        return self.read_json("status.json")
+        """State of the run and of each of its phases.
+
+        Raises:
+            ConfigError: If the file is damaged.
+        """
+        status = {"state": "new", "phases": {}, **self.read_json("status.json")}
+        phases = status["phases"]
+        if not isinstance(phases, dict) or not all(isinstance(record, dict) for record in phases.values()):
+            raise ConfigError(
+                f"{self.path / 'status.json'}: 'phases' is {phases!r}; "
+                "expected a record for each phase: restore the file or begin a new run"
+            )
+        return status
 
     def update_status(self, state: str, phase: str | None = None, record: Mapping[str, Any] | None = None) -> None:
         """Set the run's state and, if named, a phase's record."""
@@ -83,7 +107,7 @@ class RunDirectory:
 
     def phase_record(self, phase: str) -> dict[str, Any]:
         """What is known of a phase; empty before it has begun."""
-        record: dict[str, Any] = self.status().get("phases", {}).get(phase, {})
+        record: dict[str, Any] = self.status()["phases"].get(phase, {})
         return record
 
     def read_json(self, name: str) -> dict[str, Any]:
@@ -96,9 +120,11 @@ class RunDirectory:
         if not file.exists():
             return {}
         try:
-            record: dict[str, Any] = json.loads(file.read_text())
-        except json.JSONDecodeError as error:
+            record = json.loads(file.read_text())
+        except ValueError as error:
             raise ConfigError(f"{file}: is no JSON ({error}); restore it or begin a new run") from None
+        if not isinstance(record, dict):
+            raise ConfigError(f"{file}: holds a {type(record).__name__}; expected an object: restore it")
         return record
 
     def write_json(self, name: str, record: Mapping[str, Any]) -> None:

@@ -8,8 +8,10 @@ import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor
 
+from datamodules.errors import UserError
 
-class DivergedError(RuntimeError):
+
+class DivergedError(UserError):
     """Training produced a NaN or infinite loss."""
 
 

@@ -1,0 +1,52 @@
+"""Demonstrations of a run: collected if missing, finite, and the same from its first step to its last."""
+
+from __future__ import annotations
+
+import time
+
+import torch
+
+from datamodules.errors import TrajectoryFileError
+from datamodules.transfer import TransferDataModule
+from plp_lightning.experiment import Experiment
+from plp_lightning.run import RunDirectory
+
+
+def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
+    """Collect what is missing, check what is there, and write down how long it took and what was found.
+
+    Raises:
+        TrajectoryFileError: If a value is not finite, or the demonstrations are not those that the run began with.
+    """
+    began = time.monotonic()
+    experiment.data.prepare_data()
+    spent = time.monotonic() - began
+    check_finite(experiment.data)
+    status = run.status()
+    status["collection_seconds"] = status.get("collection_seconds", 0.0) + spent
+    run.write_json("status.json", status | {"data_sha256": _same_fingerprint(experiment.data, run)})
+
+
+def check_finite(data: TransferDataModule) -> None:
+    """Refuse to train on what is no number.
+
+    Raises:
+        TrajectoryFileError: If an observation or an action is not finite.
+    """
+    for domain, table in data.tables.items():
+        for name, values in (("observations", table.observation.state), ("actions", table.action)):
+            if not torch.isfinite(values).all():
+                raise TrajectoryFileError(
+                    f"{data.path}: {name} of domain {domain!r} hold values that are not finite; "
+                    f"expected numbers: see plp data validate {data.path}"
+                )
+
+
+def _same_fingerprint(data: TransferDataModule, run: RunDirectory) -> str:
+    begun_with = run.status().get("data_sha256", data.fingerprint)
+    if begun_with != data.fingerprint:
+        raise TrajectoryFileError(
+            f"{data.path}: the demonstrations have changed since the run at {run.path} began (SHA-256 "
+            f"{data.fingerprint[:12]}, expected {begun_with[:12]}); restore the file or begin a new run"
+        )
+    return data.fingerprint
