@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(USAGE.format(verbs="\n".join(f"  {name:9} {text}" for name, (_, text) in VERBS.items())))
         return
     if words[0] == "--version":
-        print(f"plp {importlib.import_module('importlib.metadata').version('plp-lightning')}")
+        print(f"plp {installed_version()}")
         return
     # Several runs at once must not fight for cores; set before any library starts its threads.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -46,6 +46,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except UserError as error:
         print(f"plp: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:
+        print(f"plp: {describe(error)}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("plp: stopped; go on with plp fit --resume RUN_DIR", file=sys.stderr)
+        sys.exit(130)
     except Exception as error:
         # Asked to stop by a signal: the state is saved, and a scheduler reads the exit code.
         if not hasattr(error, "exit_code"):
@@ -66,6 +72,21 @@ def find_verb(name: str) -> Callable[[Sequence[str]], None]:
     module, function = VERBS[name][0].split(":")
     verb: Callable[[Sequence[str]], None] = getattr(importlib.import_module(module), function)
     return verb
+
+
+def installed_version() -> str:
+    """Version of the installed package, or a word for a checkout that was never installed."""
+    metadata = importlib.import_module("importlib.metadata")
+    try:
+        return str(metadata.version("plp-lightning"))
+    except metadata.PackageNotFoundError:
+        return "from a checkout that is not installed; run pip install -e ."
+
+
+def describe(error: OSError) -> str:
+    """What the file system refused, and where: a full disk, say, or a folder that may not be written."""
+    place = f"{error.filename}: " if error.filename else ""
+    return f"{place}{error.strerror or error}; expected a place that can be read and written: free or name another"
 
 
 if __name__ == "__main__":
