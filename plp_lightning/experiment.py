@@ -29,7 +29,8 @@ class EvaluationPlan:
     """When and how much to evaluate in the simulators.
 
     Args:
-        every_n_epochs: Epochs between two evaluations, by phase; phases that are not named wait for their end.
+        every_n_epochs: Epochs between two evaluations, by phase; 0 leaves it to the end. A phase that is not
+            named is evaluated whenever that takes under a tenth of the time trained since the last evaluation.
         episodes: Episodes of each trial in these.
         final_episodes: Episodes of each trial at the end of a phase.
         score_every_n_epochs: Epochs between two alignment scores.

@@ -148,7 +148,7 @@ def quiet_lightning() -> None:
 
 def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list[Callback]:
     plan, simulators = experiment.evaluation, experiment.simulators
-    every = plan.every_n_epochs.get(name, 0)
+    every = plan.every_n_epochs.get(name)
     found: list[Callback] = [
         FreezeGuard(),
         FiniteGuard(),

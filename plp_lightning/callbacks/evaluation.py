@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 
 from lightning.pytorch import Callback, LightningModule, Trainer
@@ -10,15 +11,23 @@ from plp_lightning.envs.base import Simulator
 from plp_lightning.evaluation.simulation import Trial, evaluate_all
 from plp_lightning.phases import Phase
 
+FIRST_GUESS = 1.0
+"""What an evaluation is taken to cost before the first one, s."""
+SHARE = 0.1
+"""Of the time since the last evaluation, what the next one may take if nothing else is asked for."""
+
 
 class SimulatorEvaluation(Callback):
     """Rolls the policy out every n epochs and logs ``eval/<trial>_success``.
+
+    Evaluations draw from their own seeds, so how often they happen does not change what is learned.
 
     Args:
         simulators: By domain.
         trials: By name: target task and proxy tasks, in source and target domain.
         episodes: Episodes of each trial.
-        every_n_epochs: Epochs between two evaluations; 0 leaves it to the end of the phase.
+        every_n_epochs: Epochs between two evaluations; 0 leaves it to the end of the phase, None evaluates
+            after every epoch that is long enough for the evaluation to take under a tenth of the time.
         seed: Seed of the initial states.
     """
 
@@ -27,21 +36,35 @@ class SimulatorEvaluation(Callback):
         simulators: Mapping[str, Simulator],
         trials: Mapping[str, Trial],
         episodes: int,
-        every_n_epochs: int,
+        every_n_epochs: int | None,
         seed: int,
     ) -> None:
         self.simulators, self.trials = simulators, trials
         self.episodes, self.every_n_epochs, self.seed = episodes, every_n_epochs, seed
+        self.cost, self.last = FIRST_GUESS, time.monotonic()
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Begin to count the time of training."""
+        self.last = time.monotonic()
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Evaluate, if it is this epoch's turn."""
-        turn = self.every_n_epochs > 0 and (trainer.current_epoch + 1) % self.every_n_epochs == 0
-        if not turn or not isinstance(pl_module, Phase):
-            return
-        training = pl_module.policy.training
-        pl_module.policy.eval()
-        outcomes = evaluate_all(pl_module.policy, self.simulators, self.trials, self.episodes, self.seed)
-        pl_module.policy.train(training)
+        if self._due(trainer.current_epoch + 1) and isinstance(pl_module, Phase):
+            began = time.monotonic()
+            self._evaluate(pl_module)
+            self.last = time.monotonic()
+            self.cost = self.last - began
+
+    def _due(self, epoch: int) -> bool:
+        if self.every_n_epochs is None:
+            return time.monotonic() - self.last >= self.cost / SHARE
+        return self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
+
+    def _evaluate(self, phase: Phase) -> None:
+        training = phase.policy.training
+        phase.policy.eval()
+        outcomes = evaluate_all(phase.policy, self.simulators, self.trials, self.episodes, self.seed)
+        phase.policy.train(training)
         for name, outcome in outcomes.items():
-            pl_module.log(f"eval/{name}_success", outcome.success)
-            pl_module.log(f"eval/{name}_invalid", float(outcome.invalid))
+            phase.log(f"eval/{name}_success", outcome.success)
+            phase.log(f"eval/{name}_invalid", float(outcome.invalid))
