@@ -118,7 +118,7 @@ def test_the_expert_knows_one_simulator_only() -> None:
 
 
 def _plain() -> type[Simulator]:
-    return type("Simulator", (Simulator,), {name: None for name in Simulator.__abstractmethods__})
+    return type("Simulator", (Simulator,), dict.fromkeys(Simulator.__abstractmethods__))
 
 
 def test_a_simulator_without_a_shared_position_says_so() -> None:

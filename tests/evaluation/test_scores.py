@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+import torch
+from torch import Tensor, nn
+
+from datamodules.types import Observation
+from plp_lightning.envs.synthetic import LinearPoint
+from plp_lightning.evaluation.scores import ClosenessScore, encode, sample_states
+
+SIMULATORS = {name: domain.simulator for name, domain in tiny.domains().items()}
+
+
+class Oracle(nn.Module):
+    """Encodes a state as the point in the plane that it shows, or as noise."""
+
+    def __init__(self, blind: bool) -> None:
+        super().__init__()
+        self.blind, self.weight = blind, nn.Parameter(torch.zeros(1))
+
+    def encode(self, observation: dict[str, Observation[Tensor]]) -> dict[str, Tensor]:
+        ((domain, seen),) = observation.items()
+        simulator = SIMULATORS[domain]
+        assert isinstance(simulator, LinearPoint)
+        plane = torch.from_numpy(simulator.shared_position(seen.state.numpy())).float()
+        noise = torch.Generator().manual_seed(len(domain) + seen.state.shape[1])
+        return {domain: torch.randn(plane.shape, generator=noise) if self.blind else plane}
+
+
+def test_latents_of_corresponding_states_are_close_if_the_encoder_knows_the_maps(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    scores = [ClosenessScore(200)(Oracle(blind), data, SIMULATORS)["closeness"] for blind in (False, True)]
+    assert scores[0] > 0.99
+    assert scores[1] == pytest.approx(0.05, abs=0.05)
+
+
+def test_scored_states_are_proxy_states_of_both_parts_and_always_the_same(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    for domain, table in data.tables.items():
+        sample = sample_states(data, domain, 50).state
+        assert torch.equal(sample, sample_states(data, domain, 50).state)
+        proxy = table.observation.state[table.task != tiny.TASKS.index(tiny.TARGET)]
+        assert len(sample) == 50
+        assert {tuple(row) for row in sample.tolist()} <= {tuple(row) for row in proxy.tolist()}
+        everything = sample_states(data, domain, 10**6).state
+        np.testing.assert_array_equal(np.sort(everything, axis=0), np.sort(proxy, axis=0))
+
+
+def test_scores_are_the_same_for_every_seed_of_a_run(trajectory_file: Path) -> None:
+    one, other = (sample_states(tiny.data_module(trajectory_file, seed=s), "tall", 20).state for s in (0, 1))
+    assert torch.equal(one, other)
+
+
+def test_encoding_is_the_policys_encoder_without_gradients(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    policy, seen = tiny.policy(data), data.tables["tall"].observation.take(slice(5))
+    found = encode(policy, "tall", seen)
+    assert torch.equal(found, policy.encode({"tall": seen})["tall"])
+    assert not found.requires_grad

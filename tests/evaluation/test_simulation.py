@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from datamodules.types import Observation
+from plp_lightning.envs.rollout import Episodes
+from plp_lightning.envs.synthetic import LinearPoint
+from plp_lightning.evaluation.simulation import Success, Trial, evaluate, evaluate_all
+from plp_lightning.evaluation.statistics import success_interval
+from plp_lightning.seeding import episode_seed
+
+TASKS = LinearPoint(1).tasks
+
+
+class Clever:
+    """Solves the tasks that it knows, stands still in the others, and gives NaN for ``forbidden``."""
+
+    def __init__(self, simulator: LinearPoint, known: Sequence[str], forbidden: str = "") -> None:
+        self.simulator, self.known, self.forbidden = simulator, known, forbidden
+        self.calls: list[tuple[str, int, np.ndarray]] = []
+
+    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
+        self.calls.append((domain, len(task), observation.state))
+        goals = np.array([self.simulator.goal(name) for name in task])
+        point = self.simulator.shared_position(observation.state)
+        actions = (2 * (goals - point)) @ self.simulator.rotation.T
+        actions[[name not in self.known for name in task]] = 0
+        actions[[name == self.forbidden for name in task]] = np.nan
+        return actions
+
+
+class Watched(LinearPoint):
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        self.asked = list(zip(tasks, seeds, strict=True))
+        return super().reset(tasks, seeds)
+
+
+def test_invalid_episodes_count_as_failed_and_are_never_dropped() -> None:
+    simulator = LinearPoint(1)
+    policy = Clever(simulator, ["goal_0", "goal_1"], forbidden="goal_2")
+    found = evaluate(policy, simulator, Trial("flat", ("goal_0", "goal_2", "goal_5")), 12, seed=0)
+    assert (found.success, found.episodes, found.invalid) == (pytest.approx(4 / 12), 12, 4)
+    assert found.interval == success_interval(4, 12)
+
+
+def test_an_episode_that_was_solved_and_diverged_is_no_success() -> None:
+    episodes = Episodes(np.array([True, False]), np.array([False, True]), np.array([3, 4]))
+    assert Success.of(episodes).success == 0.5
+
+
+def test_tasks_take_turns_with_seeds_of_evaluation() -> None:
+    simulator = Watched(1)
+    evaluate(Clever(simulator, TASKS), simulator, Trial("flat", ("goal_3", "goal_1")), 5, seed=7)
+    expected = [("goal_3", 0), ("goal_1", 0), ("goal_3", 1), ("goal_1", 1), ("goal_3", 2)]
+    assert simulator.asked == [(task, episode_seed("evaluate", 7, "flat", task, i)) for task, i in expected]
+    collected = {episode_seed("collect", 7, "flat", task, i) for task in TASKS for i in range(1000)}
+    assert not collected & {seed for _, seed in simulator.asked}
+
+
+def test_an_episode_begins_the_same_however_many_are_run() -> None:
+    simulator = Watched(1)
+    trial = Trial("flat", ("goal_3", "goal_1"))
+    begins = []
+    for episodes in (2, 9):
+        evaluate(Clever(simulator, TASKS), simulator, trial, episodes, seed=7)
+        begins.append(simulator.asked)
+    assert begins[0] == begins[1][:2]
+
+
+def test_the_policy_is_called_once_for_each_time_step_on_all_running_episodes() -> None:
+    simulator = LinearPoint(1, horizon=9)
+    policy = Clever(simulator, ["goal_0"])
+    evaluate(policy, simulator, Trial("flat", ("goal_0", "goal_5")), 20, seed=0)
+    assert len(policy.calls) == 9
+    running = [count for _, count, _ in policy.calls]
+    assert running[0] == 20
+    assert running == sorted(running, reverse=True)
+    assert all(domain == "flat" and len(state) == count for domain, count, state in policy.calls)
+
+
+def test_every_trial_runs_in_its_own_domain() -> None:
+    simulators = {"flat": LinearPoint(1, 3), "tall": LinearPoint(2, 5)}
+    policy = Clever(simulators["tall"], ["goal_0"])
+    trials = {"target": Trial("tall", ("goal_0",)), "proxy": Trial("tall", ("goal_4",))}
+    found = evaluate_all(policy, simulators, trials, 6, seed=0)
+    assert {name: outcome.success for name, outcome in found.items()} == {"target": 1.0, "proxy": 0.0}
+    assert {state.shape[1] for _, _, state in policy.calls} == {5}
+
+
+def test_outcomes_are_plain_data() -> None:
+    outcome = Success(0.5, 4, 1, success_interval(2, 4))
+    plain = outcome.to_dict()
+    assert json.loads(json.dumps(plain)) == plain
+    assert plain == {"success": 0.5, "episodes": 4, "invalid": 1, "interval": list(outcome.interval)}

@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+
+from datamodules.errors import UserError
+from datamodules.hdf5 import TrajectoryFile
+from datamodules.types import Observation, Trajectory
+from plp_lightning import collect
+from plp_lightning.collect import ExpertCollector, Job, Recipe, demonstrate
+from plp_lightning.envs.base import Domain, Expert, Simulator
+from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
+from plp_lightning.seeding import episode_seed
+
+RECIPE = Recipe(processes=1, noise=0.2)
+IDLE = LinearPointExpert(gain=0.0)
+
+
+class Fickle(Expert):
+    """Gives up on every seed that leaves ``rest`` when divided by three."""
+
+    def __init__(self, rest: int = 0) -> None:
+        self.rest, self.inner = rest, LinearPointExpert()
+
+    def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
+        self.inner.begin(simulator, tasks, seeds)
+        self.lazy = np.array(seeds) % 3 == self.rest
+
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        return np.where(self.lazy[episodes, None], 0, self.inner.act(observation, episodes))
+
+
+class Recording(LinearPoint):
+    """Keeps the actions that it was given."""
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> object:
+        self.executed = [*getattr(self, "executed", []), actions[0]]
+        return super().step(actions, episodes)
+
+
+def made(expert: Expert, job: Job, recipe: Recipe = RECIPE, simulator: Simulator | None = None) -> list[Trajectory]:
+    collect._begin_process({"flat": Domain(simulator or LinearPoint(1, 3), expert)})
+    return demonstrate(job, recipe)
+
+
+def job(count: int, known: frozenset[int] = frozenset()) -> Job:
+    return Job("flat", "goal_1", count, known)
+
+
+def indices(trajectories: Sequence[Trajectory]) -> list[int]:
+    first = episode_seed("collect", RECIPE.seed, "flat", "goal_1", 0)
+    return [t.seed - first for t in trajectories]
+
+
+def content(path: Path) -> list[tuple[str, str, int, bytes, bytes]]:
+    with TrajectoryFile.open(path) as file:
+        found = [file.trajectory(d.name, e) for d in file.domains for e in range(len(file.episodes(d.name).seed))]
+    return [(t.domain, t.task, t.seed, t.observation.state.tobytes(), t.actions.tobytes()) for t in found]
+
+
+def collected(path: Path, missing: Mapping[str, Mapping[str, int]], processes: int) -> list[tuple[str, ...]]:
+    ExpertCollector(tiny.domains(), replace(RECIPE, processes=processes))(path, missing)
+    return content(path)
+
+
+def test_demonstrations_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
+    missing = {"flat": {"goal_0": 3, "goal_3": 2}, "tall": {"goal_0": 2}}
+    one = collected(tmp_path / "one.hdf5", missing, 1)
+    assert one == collected(tmp_path / "two.hdf5", missing, 2)
+    assert [(domain, task) for domain, task, *_ in one] == [
+        *[("flat", "goal_0")] * 3,
+        *[("flat", "goal_3")] * 2,
+        *[("tall", "goal_0")] * 2,
+    ]
+    with TrajectoryFile.open(tmp_path / "two.hdf5") as file:
+        assert file.tasks == tiny.TASKS
+        assert file.provenance["recipe"] == {**vars(RECIPE), "processes": 2}
+        assert file.provenance["experts"] == {"flat": "LinearPointExpert", "tall": "LinearPointExpert"}
+
+
+def test_growing_a_file_gives_what_collecting_at_once_gives(tmp_path: Path) -> None:
+    collected(tmp_path / "grown.hdf5", {"flat": {"goal_0": 2}}, 1)
+    grown = collected(tmp_path / "grown.hdf5", {"flat": {"goal_0": 3}}, 1)
+    assert grown == collected(tmp_path / "once.hdf5", {"flat": {"goal_0": 5}}, 1)
+
+
+def test_many_known_demonstrations_are_no_failed_attempts() -> None:
+    known = frozenset(t.seed for t in made(LinearPointExpert(), job(60)))
+    assert indices(made(LinearPointExpert(), job(2, known))) == [60, 61]
+
+
+def test_only_successes_are_kept_in_the_order_of_their_seeds() -> None:
+    first = episode_seed("collect", RECIPE.seed, "flat", "goal_1", 0)
+    found = made(Fickle(rest=(first + 1) % 3), job(6), Recipe())
+    assert indices(found) == [0, 2, 3, 5, 6, 8]
+    assert all(t.success for t in found)
+
+
+def test_the_first_demonstrations_are_the_same_however_many_are_wanted() -> None:
+    few, many = (made(Fickle(), job(count)) for count in (3, 10))
+    assert indices(few) == indices(many)[:3]
+    for one, other in zip(few, many, strict=False):
+        np.testing.assert_array_equal(one.observation.state, other.observation.state)
+        np.testing.assert_array_equal(one.actions, other.actions)
+
+
+def test_an_unfit_expert_is_told_of_after_so_many_attempts() -> None:
+    message = (
+        "expert of domain 'flat' solved task 'goal_1' 0 times in 16 attempts; 2 demonstrations were asked for; "
+        "mend the expert or raise --collection.attempts"
+    )
+    with pytest.raises(UserError, match=f"^{re.escape(message)}$"):
+        made(IDLE, job(2), Recipe(attempts=3))
+    with pytest.raises(UserError, match="solved task 'goal_1' 0 times in 32 attempts"):
+        made(IDLE, job(2), Recipe(attempts=10))
+
+
+def test_the_message_of_an_unfit_expert_comes_out_of_its_process(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="expert of domain 'flat' solved task 'goal_0' 0 times"):
+        ExpertCollector({"flat": Domain(LinearPoint(1), IDLE)}, RECIPE)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}})
+    assert list(tmp_path.glob("*.hdf5")) == []
+
+
+def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
+    domains = {"flat": Domain(LinearPoint(1), LinearPointExpert()), "tall": Domain(LinearPoint(2))}
+    with pytest.raises(
+        UserError, match=r"domain 'tall' has no expert; add one or import demonstrations into .*a\.hdf5"
+    ):
+        ExpertCollector(domains, RECIPE)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}, "tall": {"goal_0": 1}})
+
+
+def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
+    simulator, expert = Recording(1, 3), LinearPointExpert()
+    (shaken,) = made(expert, job(1), Recipe(noise=0.3, linger=0), simulator)[:1]
+    collect._begin_process({"flat": Domain(simulator, expert)})
+    simulator.executed = []
+    again = collect._attempt(job(1), [shaken.seed], Recipe(noise=0.3, linger=0))[0]
+    executed = np.stack(simulator.executed)
+    np.testing.assert_array_equal(again.actions, shaken.actions)
+    expert.begin(simulator, ["goal_1"], [shaken.seed])
+    for state, action in zip(shaken.observation.state, shaken.actions, strict=True):
+        asked = expert.act(Observation(state[None]), np.array([0]))[0]
+        np.testing.assert_allclose(action, asked, atol=1e-6)
+    assert executed.shape == shaken.actions.shape
+    assert (np.abs(executed - shaken.actions) > 1e-4).mean() > 0.8
+    assert np.abs(executed).max() <= 1
+
+
+def test_without_noise_the_recorded_actions_lead_through_the_recorded_states() -> None:
+    simulator = LinearPoint(1, 3)
+    for trajectory in made(LinearPointExpert(), job(2), Recipe(noise=0.0)):
+        state = simulator.reset(["goal_1"], [trajectory.seed]).state
+        for seen, action in zip(trajectory.observation.state, trajectory.actions, strict=True):
+            np.testing.assert_array_equal(seen, state[0])
+            state = simulator.step(action[None], np.array([0])).observation.state
+
+
+@pytest.mark.parametrize("linger", [0, 4])
+def test_so_many_steps_are_recorded_after_success(linger: int) -> None:
+    simulator = LinearPoint(1, 3)
+    for trajectory in made(LinearPointExpert(), job(3), Recipe(linger=linger)):
+        simulator.reset(["goal_1"], [trajectory.seed])
+        solved = [simulator.step(a[None], np.array([0])).success[0] for a in trajectory.actions]
+        assert solved.index(True) == len(solved) - 1 - linger
