@@ -106,7 +106,7 @@ def test_a_wrong_import_would_be_found() -> None:
 def test_imports_are_found_wherever_they_are() -> None:
     lazy = "def f():\n    from plp_lightning import cli\n    import datamodules.hdf5 as h\n"
     typed = "if TYPE_CHECKING:\n    from plp_lightning.envs import Lift\n"
-    assert [*imported(lazy + typed)] == ["plp_lightning.envs", "plp_lightning.cli", "datamodules.hdf5"]
+    assert {*imported(lazy + typed)} == {"plp_lightning.envs", "plp_lightning.cli", "datamodules.hdf5"}
 
 
 def test_every_package_has_its_row_in_the_table() -> None:
