@@ -122,7 +122,7 @@ def build(parser: ArgumentParser, config: Namespace) -> Experiment:
     """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet."""
     config.experiment = config.experiment or _experiment_name(config)
     check_numbers(dict(config.items()), config.phases)
-    text = parser.dump(config.clone(), skip_none=False)
+    text = parser.dump(config.clone(), skip_unset=False)
     made = parser.instantiate(config)
     for key in ("domains", "method"):
         if not made[key]:
