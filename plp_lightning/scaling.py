@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from datamodules.normalization import Affine, Scaling, Statistics
+from datamodules.errors import ConfigError
+from datamodules.normalization import DEFAULT_KEY, Affine, Scaling, Statistics
 from datamodules.types import DomainSpec
 
 
@@ -20,6 +21,9 @@ class InputScaler(nn.Module):
         statistics: Of raw states, by domain.
         scaling: By observation key.
         clip: Bound of z-scored columns.
+
+    Raises:
+        ConfigError: If ``scaling`` names a key that no domain has.
     """
 
     offset: Tensor
@@ -34,6 +38,7 @@ class InputScaler(nn.Module):
         clip: float,
     ) -> None:
         super().__init__()
+        _check_keys(domains, scaling)
         self.rows = {spec.name: (i, spec.state_size) for i, spec in enumerate(domains)}
         known = statistics or {spec.name: Statistics.identity(spec.state_size) for spec in domains}
         fits = [Affine.build(spec, known[spec.name], scaling, clip) for spec in domains]
@@ -47,3 +52,10 @@ class InputScaler(nn.Module):
         row, size = self.rows[domain]
         limit = self.limit[row, :size]
         return torch.clamp((state - self.offset[row, :size]) * self.scale[row, :size], -limit, limit)
+
+
+def _check_keys(domains: Sequence[DomainSpec], scaling: Mapping[str, Scaling]) -> None:
+    keys = dict.fromkeys(key.name for spec in domains for key in spec.state_keys)
+    unknown = [name for name in scaling if name not in keys and name != DEFAULT_KEY]
+    if unknown:
+        raise ConfigError(f"scaling names {unknown[0]!r}; the state keys are {', '.join(keys)}, and {DEFAULT_KEY!r}")

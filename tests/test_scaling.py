@@ -5,6 +5,7 @@ import pytest
 import tiny
 import torch
 
+from datamodules.errors import ConfigError
 from datamodules.normalization import Scaling, Statistics
 from plp_lightning.scaling import InputScaler
 
@@ -53,3 +54,14 @@ def test_gradients_flow_through_the_scaling() -> None:
 def test_statistics_are_needed_for_every_domain_or_none() -> None:
     with pytest.raises(KeyError, match="large"):
         InputScaler([SMALL, LARGE], {"small": Statistics.identity(3)}, {}, 5.0)
+
+
+def test_a_key_that_no_domain_has_is_refused() -> None:
+    with pytest.raises(ConfigError, match="scaling names 'posiiton'; the state keys are a, b, and 'default'"):
+        scaler({"posiiton": 20.0})
+
+
+def test_a_key_that_one_domain_has_is_enough() -> None:
+    other = tiny.DomainSpec("other", (tiny.ObservationKey("angle", (2,)),), 2, 10.0)
+    both = InputScaler([SMALL, other], None, {"angle": 3.0}, clip=5.0)
+    assert both(torch.ones(1, 2), "other").tolist() == [[3, 3]]
