@@ -95,7 +95,8 @@ class Maze(Simulator):
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
         self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
         for pending, task in zip(self._pending, chosen, strict=True):
-            pending[tuple(np.array(list(self.layout.via(task)), dtype=int).reshape(-1, 2).T)] = True
+            for cell in self.layout.via(task):
+                pending[cell] = True
         self._states = self._physics.initial_states(len(chosen))
         self._states[:, self._physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
         self._states = self._physics.forward(self._states)
@@ -119,9 +120,9 @@ class Maze(Simulator):
         """This domain's actions ``(n, A)`` as the physics takes them; its own inverse."""
         return actions
 
-    def cells(self, states: np.ndarray) -> np.ndarray:
-        """Where observed states ``(n, O)`` are: fractional row and column, ``(n, 2)``, the same in all domains."""
-        return self.frame.cells(self.states_in_maze(states)[:, :2])
+    def shared_position(self, state: np.ndarray) -> np.ndarray:
+        """Where observed states ``(n, O)`` are: fractional row and column of the maze, ``(n, 2)``."""
+        return self.frame.cells(self.states_in_maze(state)[:, :2])
 
     @property
     @abstractmethod
@@ -175,7 +176,7 @@ class Maze(Simulator):
         return positions
 
     def _visit(self, episodes: np.ndarray) -> None:
-        rows, columns = np.rint(self.frame.cells(self._positions(episodes))).astype(int).T
+        rows, columns = self.layout.nearest(self.frame.cells(self._positions(episodes))).T
         self._pending[episodes, rows, columns] = False
 
     def _succeeded(self, episodes: np.ndarray) -> np.ndarray:

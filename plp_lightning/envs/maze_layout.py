@@ -60,6 +60,11 @@ class Layout:
         """Rows and columns, outer walls included."""
         return len(self.rows), len(self.rows[0])
 
+    def nearest(self, cells: np.ndarray) -> np.ndarray:
+        """Whole cells ``(…, 2)`` of the drawing nearest to fractional ones ``(…, 2)``; what lies outside is an edge."""
+        nearest: np.ndarray = np.clip(np.rint(cells), 0, np.array(self.shape) - 1).astype(int)
+        return nearest
+
     @cached_property
     def tasks(self) -> Mapping[str, MazeTask]:
         """All tasks by name: for each goal those of its start zones, then the detours."""

@@ -37,8 +37,8 @@ class Guide:
         aim is p's projection on the line along d, moved forward to the next centre by the share
         ``max(0, 1 - |offset| / width)`` of the way.
         """
-        position = self._maze.cells(states)
-        cell = np.rint(position).astype(int)
+        position = self._maze.shared_position(states)
+        cell = self._maze.layout.nearest(position)
         following = self._next[episodes, cell[:, 0], cell[:, 1]]
         ahead = (following - cell).astype(float)
         along = ((position - cell) * ahead).sum(axis=1, keepdims=True)

@@ -93,13 +93,13 @@ def test_source_of_p2p_is_a_swapped_and_negated_copy():
     action = np.array([[0.5, -0.25]])
     after = target.step(action, np.array([0])).observation.state
     np.testing.assert_array_equal(source.step(-action, np.array([0])).observation.state, after[:, [1, 0, 3, 2]])
-    np.testing.assert_allclose(source.cells(after[:, [1, 0, 3, 2]]), target.cells(after))
+    np.testing.assert_allclose(source.shared_position(after[:, [1, 0, 3, 2]]), target.shared_position(after))
 
 
 def test_d4rl_frames_by_hand():
     point, ant = PointMaze("medium", jitter=0), WalkerMaze("medium", jitter=0)
     task = "s2_g_6_6"
-    row, column = np.rint(point.cells(point.reset([task], [0]).state))[0]
+    row, column = np.rint(point.shared_position(point.reset([task], [0]).state))[0]
     np.testing.assert_allclose(point.reset([task], [0]).state[0, :2], [row - 0.2, column - 0.2], atol=1e-6)
     np.testing.assert_allclose(ant.reset([task], [0]).state[0, :2], [4 * (column - 1), 4 * (row - 1)], atol=1e-6)
 
@@ -109,7 +109,7 @@ def test_d4rl_frames_by_hand():
 def test_starts_lie_in_the_zone_and_off_the_goal(kind, frame):
     maze = kind("medium", frame=frame)
     tasks = [task for task in maze.tasks for _ in range(3)]
-    cells = maze.cells(maze.reset(tasks, range(len(tasks))).state)
+    cells = maze.shared_position(maze.reset(tasks, range(len(tasks))).state)
     assert np.abs(cells - np.rint(cells)).max() <= 0.25 + 1e-6
     for name, cell in zip(tasks, np.rint(cells).astype(int), strict=True):
         assert tuple(cell) in maze.layout.starts(maze.layout.task(name))

@@ -107,3 +107,8 @@ def test_gymnasium_frame_by_hand():
     cells = np.array([[1, 1], [2, 2], [3.5, 1]])
     np.testing.assert_allclose(frame.centres(cells), [[-4, 4], [0, 0], [-4, -6]])
     np.testing.assert_allclose(frame.cells(frame.centres(cells)), cells)
+
+
+def test_nearest_cell_is_in_the_drawing():
+    cells = np.array([[1.4, 1.6], [-3, 2], [9.0, 4.6]])
+    np.testing.assert_array_equal(LAYOUTS["umaze"].nearest(cells), [[1, 2], [0, 2], [4, 4]])
