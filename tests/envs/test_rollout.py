@@ -13,7 +13,7 @@ from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
 
 
 class Scripted(LinearPoint):
-    """Counts its steps: seed 100 s + i is solved in step s and, if i > 0, diverges in step i."""
+    """Counts its steps: seed 100 s + i is solved from step s on and diverges in step i; 0 is never."""
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         super().reset(tasks, seeds)
@@ -25,7 +25,8 @@ class Scripted(LinearPoint):
         self.t[episodes] += 1
         step = super().step(actions, episodes)
         t, invalid = self.t[episodes], self.t[episodes] == self.fails[episodes]
-        return step._replace(success=(t == self.solved[episodes]) & ~invalid, invalid=invalid)
+        solved = self.solved[episodes]
+        return step._replace(success=(t >= solved) & (solved > 0) & ~invalid, invalid=invalid)
 
 
 def still(seen: list[list[int]]) -> Actor:
