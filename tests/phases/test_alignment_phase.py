@@ -127,8 +127,8 @@ def test_the_spread_of_the_latents_is_watched(trajectory_file: Path) -> None:
 
 
 def test_alignment_learns_and_changes_all_parts(trajectory_file: Path, make_trainer: Callable[..., Trainer]) -> None:
-    data = tiny.data_module(trajectory_file)
-    phase = Alignment(tiny.policy(data), ["mmd", "tcc"], lr=3e-3)
+    data = tiny.data_module(trajectory_file, batch_size=64)
+    phase = Alignment(tiny.policy(data), ["mmd", "tcc"], lr=6e-3)
     before = {name: value.clone() for name, value in phase.state_dict().items()}
     trainer = make_trainer(epochs=8)
     trainer.fit(phase, datamodule=data)

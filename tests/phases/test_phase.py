@@ -31,7 +31,7 @@ def test_held_out_losses_are_means_over_all_held_out_steps(
     for domain, rows in data.rows(tiny.PROXIES, "held_out").items():
         steps = data.tables[domain].take(torch.from_numpy(rows))
         action = phase.policy({domain: steps.observation}, {domain: steps.task}).action[domain]
-        sums[domain] = float((action - steps.action).square().sum())
+        sums[domain] = (action - steps.action).square().sum().item()
         counts[domain] = len(rows)
         assert logged(tmp_path / "log", f"val/bc_{domain}") == [pytest.approx(sums[domain] / counts[domain], rel=1e-4)]
     overall = sum(sums.values()) / sum(counts.values())
@@ -84,7 +84,7 @@ def test_a_run_that_was_stopped_gives_the_weights_of_an_unbroken_one(
     trajectory_file: Path, tmp_path: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
     def run(folder: str, epochs: int, resume: Path | None = None) -> dict[str, torch.Tensor]:
-        data = tiny.data_module(trajectory_file)
+        data = tiny.data_module(trajectory_file, batch_size=100)
         phase = Alignment(tiny.policy(data), ["mmd", "tcc"], lr=1e-3)
         trainer = make_trainer(RandomState(), *best_and_last(tmp_path / folder), epochs=epochs)
         trainer.fit(phase, datamodule=data, ckpt_path=resume, weights_only=True)
