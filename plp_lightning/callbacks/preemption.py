@@ -31,7 +31,7 @@ class Preemption(Callback):
 
     def __init__(self, checkpoint: Path) -> None:
         self.checkpoint = checkpoint
-        self.received = 0
+        self.received, self.saved = 0, False
         self.previous: dict[int, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -42,13 +42,28 @@ class Preemption(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Save and leave, at a point that a resumed run can go on from.
+        """Save, at a point that a resumed run can go on from; an epoch's end is left to save itself."""
+        if self.received and not self.saved:
+            self.saved = True
+            if batch_idx + 1 < trainer.num_training_batches:
+                trainer.save_checkpoint(self.checkpoint)
+
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
+        """Leave before the next step, when the one before has been logged.
+
+        Raises:
+            PreemptedError: If a signal has come and the state is saved.
+        """
+        if self.saved:
+            raise PreemptedError(self.received)
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Leave after the last epoch, which has saved itself.
 
         Raises:
             PreemptedError: If a signal has come.
         """
         if self.received:
-            trainer.save_checkpoint(self.checkpoint)
             raise PreemptedError(self.received)
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:

@@ -1,0 +1,122 @@
+"""A run that is killed anywhere and resumed ends with the weights of one that was not."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from pathlib import Path
+
+import h5py
+import pytest
+from command import checkpoint, complaint, data_root, dies, plp, results, same, smoke_run, tiny_smoke
+
+from plp_lightning.metrics_file import read_rows
+from plp_lightning.run import RunDirectory
+
+STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
+PHASES = ("alignment", "adaptation")
+ALL = ["--alignment.terms", "[mmd, tcc, adversarial]"]
+"""All losses at once, so that every stream of random numbers is in play. Steps 1 to 6 and 7 to 12 are its epochs of
+alignment, 13 to 15 and 16 to 18 those of adaptation."""
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    root = tmp_path_factory.mktemp("unbroken")
+    answer = plp("fit", *tiny_smoke(root), *ALL)
+    assert answer.code == 0, answer
+    return smoke_run(root)
+
+
+def assert_same_run(run: RunDirectory, unbroken: RunDirectory) -> None:
+    for phase in PHASES:
+        ours, theirs = checkpoint(run, phase), checkpoint(unbroken, phase)
+        assert same(ours["state_dict"], theirs["state_dict"]), phase
+        assert same(ours["optimizer_states"], theirs["optimizer_states"]), phase
+        assert same(checkpoint(run, phase, "best")["state_dict"], checkpoint(unbroken, phase, "best")["state_dict"])
+        assert read_rows(run.phase(phase) / "metrics.csv") == read_rows(unbroken.phase(phase) / "metrics.csv")
+    assert results(run) == results(unbroken)
+    assert run.status()["state"] == "done"
+
+
+MOMENTS = {
+    "first step": (STEP, 1),
+    "second epoch of alignment": (STEP, 8),
+    "adaptation": (STEP, 14),
+    "before evaluation of alignment": ("plp_lightning.fit:evaluate_all", 1),
+    "between phases": ("plp_lightning.fit:load_policy_weights", 1),
+    "final evaluation": ("plp_lightning.fit:evaluate_all", 2),
+    **{f"file {n} written, not moved": ("datamodules.atomic:os.replace", n) for n in (1, 9, 14)},
+}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_killed_run_resumes_to_the_same_weights(moment: str, tmp_path: Path, unbroken: RunDirectory) -> None:
+    options = [*tiny_smoke(tmp_path), *ALL]
+    assert dies(["fit", *options], *MOMENTS[moment], signal.SIGKILL) == -signal.SIGKILL
+    run = smoke_run(tmp_path)
+    # Killed before its config was there, the run has never begun.
+    answer = plp("fit", "--resume", run.path) if run.config.exists() else plp("fit", *options)
+    assert answer.code == 0, answer
+    assert_same_run(run, unbroken)
+    assert not list(run.path.rglob("*.tmp"))
+
+
+@pytest.mark.parametrize("step", [3, 6, 12, 14, 18])
+def test_stopped_run_saves_says_so_and_resumes_exactly(step: int, tmp_path: Path, unbroken: RunDirectory) -> None:
+    assert dies(["fit", *tiny_smoke(tmp_path), *ALL], STEP, step, signal.SIGTERM) == 128 + signal.SIGTERM
+    run = smoke_run(tmp_path)
+    assert run.status()["state"] == "preempted"
+    assert checkpoint(run, "adaptation" if run.checkpoint("adaptation").exists() else "alignment")["global_step"] > 0
+    answer = plp("fit", "--resume", run.path)
+    assert answer.code == 0, answer
+    assert_same_run(run, unbroken)
+
+
+def test_finished_run_is_left_alone(unbroken: RunDirectory) -> None:
+    before = {file: file.read_bytes() for file in unbroken.path.rglob("*") if file.is_file()}
+    answer = plp("fit", "--resume", unbroken.path)
+    assert answer.code == 0
+    assert "done already" in answer.out
+    assert {file: file.read_bytes() for file in unbroken.path.rglob("*") if file.is_file()} == before
+
+
+def test_run_is_not_begun_twice(unbroken: RunDirectory) -> None:
+    before = unbroken.results.read_bytes()
+    told = complaint("fit", *tiny_smoke(unbroken.path.parents[3]))
+    assert f"plp fit --resume {unbroken.path}" in told
+    assert unbroken.results.read_bytes() == before
+
+
+def test_two_processes_do_not_share_a_run(unbroken: RunDirectory, tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "copy")
+    shutil.copytree(unbroken.path, run.path)
+    run.update_status("running")
+    with run.locked():
+        assert "another process works on this run" in complaint("fit", "--resume", run.path)
+
+
+def test_phases_one_by_one_give_the_same_weights(tmp_path: Path, unbroken: RunDirectory) -> None:
+    options = ["fit", *tiny_smoke(tmp_path), *ALL]
+    assert plp(*options, "--phase", "alignment").code == 0
+    first = smoke_run(tmp_path)
+    assert not first.phase("adaptation").exists()
+    assert plp(*options, "--phase", "adaptation", "--from", first.path, "--run_root", tmp_path / "later").code == 0
+    second = smoke_run(tmp_path / "later")
+    assert not second.phase("alignment").exists()
+    for phase, run in zip(PHASES, (first, second), strict=True):
+        assert same(checkpoint(run, phase)["state_dict"], checkpoint(unbroken, phase)["state_dict"])
+    assert results(second) == {**results(unbroken), "phases": ["adaptation"]}
+
+
+def test_changed_demonstrations_stop_a_resumed_run(tmp_path: Path) -> None:
+    shutil.copytree(data_root(), tmp_path / "data")
+    options = [*tiny_smoke(tmp_path), "--data.root", tmp_path / "data"]
+    assert dies(["fit", *map(str, options)], STEP, 8, signal.SIGTERM) == 143
+    run = smoke_run(tmp_path)
+    weights = run.checkpoint("alignment").read_bytes()
+    with h5py.File(tmp_path / "data" / "smoke.hdf5", "r+") as file:
+        file["domains/flat/actions"][0] *= 0.5
+    told = complaint("fit", "--resume", run.path)
+    assert "smoke.hdf5: the demonstrations have changed" in told
+    assert run.checkpoint("alignment").read_bytes() == weights
