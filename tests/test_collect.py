@@ -129,9 +129,7 @@ def test_the_message_of_an_unfit_expert_comes_out_of_its_process(tmp_path: Path)
 
 def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
     domains = {"flat": Domain(LinearPoint(1), LinearPointExpert()), "tall": Domain(LinearPoint(2))}
-    with pytest.raises(
-        UserError, match=r"domain 'tall' has no expert; add one or import .*a\.hdf5"
-    ):
+    with pytest.raises(UserError, match=r"domain 'tall' has no expert; add one or import .*a\.hdf5"):
         ExpertCollector(domains, RECIPE)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}, "tall": {"goal_0": 1}})
 
 
