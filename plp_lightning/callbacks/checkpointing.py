@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import random
 from pathlib import Path
@@ -23,11 +24,23 @@ class AtomicCheckpointIO(TorchCheckpointIO):
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
     ) -> None:
-        """Write ``checkpoint`` to ``path`` in one visible step."""
-        final = Path(path)
-        final.parent.mkdir(parents=True, exist_ok=True)
-        with locked_folder(final.parent), replacing(final) as temporary:
-            torch.save(checkpoint, temporary)
+        """Write ``checkpoint`` to ``path`` in one visible step.
+
+        Raises:
+            CheckpointError: If it cannot be written, to a full disk for instance; an older one stays.
+        """
+        final, content = Path(path), io.BytesIO()
+        # torch's own writer hides why a disk refuses.
+        torch.save(checkpoint, content)
+        try:
+            final.parent.mkdir(parents=True, exist_ok=True)
+            with locked_folder(final.parent), replacing(final) as temporary:
+                temporary.write_bytes(content.getbuffer())
+        except OSError as error:
+            raise CheckpointError(
+                f"{final}: can't be written ({error.strerror}); expected room for {content.tell()} bytes: "
+                "free some, then go on with plp fit --resume RUN_DIR"
+            ) from None
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
