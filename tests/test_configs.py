@@ -1,0 +1,80 @@
+"""Every configuration that is shipped can be read, printed and run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from command import METHODS, ROOT, TINY, complaint, plp
+
+from datamodules.hdf5 import write_trajectories
+from datamodules.types import Observation, Trajectory
+from plp_lightning.config import BASE, parse
+from plp_lightning.experiment import Experiment
+
+EXPERIMENTS = sorted(path for path in (ROOT / "configs").glob("*.yaml") if path.name != "base.yaml")
+BY_NAME = {path.stem: path for path in EXPERIMENTS}
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda path: path.stem)
+def test_every_method_on_every_experiment_is_printed_as_it_reruns(
+    experiment: Path, method: Path, tmp_path: Path
+) -> None:
+    first = parse(["--config", str(experiment), "--config", str(method), *TINY])
+    assert (first.name, first.method) == (experiment.stem, method.stem)
+    assert first.data.source_domain != first.data.target_domain
+    assert not set(first.data.proxies) & set(first.data.target_tasks)
+    (tmp_path / "printed.yaml").write_text(first.config)
+    again = parse(["--config", str(tmp_path / "printed.yaml")])
+    assert again.config == first.config
+    assert again.run_path == first.run_path
+
+
+def test_flags_beat_files_and_later_files_beat_earlier_ones(tmp_path: Path) -> None:
+    (tmp_path / "late.yaml").write_text("data: {batch_size: 7, pairs: 3}\nalignment: {init_args: {lr: 0.5}}\n")
+    words = ["--config", str(BY_NAME["smoke"]), "--config", str(tmp_path / "late.yaml"), "--data.pairs", "5"]
+    printed = yaml.safe_load(plp("fit", *words, "--print_config").out)
+    assert (printed["data"]["batch_size"], printed["data"]["pairs"], printed["data"]["stride"]) == (7, 5, 4)
+    assert (printed["alignment"]["init_args"]["lr"], printed["alignment"]["init_args"]["epochs"]) == (0.5, 10)
+
+
+def test_printing_a_config_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert plp("fit", "--config", BY_NAME["smoke"], "--print_config").code == 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_base_config_alone_is_no_experiment() -> None:
+    assert "give an experiment" in complaint("fit", "--config", BASE)
+
+
+def invent_demonstrations(experiment: Experiment) -> None:
+    """Random states and actions of the right shapes: what a miniature run needs, without an expert."""
+    rng, made = np.random.default_rng(0), []
+    specs = [domain.simulator.spec(name) for name, domain in experiment.domains.items()]
+    for spec in specs:
+        for task, count in experiment.data.demand()[spec.name].items():
+            for seed in range(count):
+                states = rng.normal(size=(20, spec.state_size)).astype(np.float32)
+                actions = rng.uniform(-1, 1, (20, spec.action_size)).astype(np.float32)
+                made.append(Trajectory(spec.name, task, Observation(states), actions, seed, success=True))
+    write_trajectories(experiment.data.path, specs, experiment.data.tasks, made, {"command": "tests"})
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_every_experiment_runs_in_miniature(path: Path, tmp_path: Path) -> None:
+    words = ["--config", str(path), *TINY, "--data.root", str(tmp_path), "--run_root", str(tmp_path)]
+    for domain in parse(words).domains:
+        words += [f"--domains.{domain}.simulator.horizon", "5"]
+    experiment = parse(words)
+    invent_demonstrations(experiment)
+    answer = plp("fit", *words)
+    assert answer.code == 0, answer
+    results = json.loads((experiment.run_path / "results.json").read_text())
+    assert results["experiment"] == path.stem
+    for trial in ("target", "source", "proxy", "proxy_source"):
+        assert (results[trial]["episodes"], results[trial]["invalid"]) == (4, 0)
