@@ -68,15 +68,22 @@ class ActionDecoder(nn.Module):
         actions: Size of the largest domain's action.
         hidden: Units in a hidden layer.
         layers: Hidden layers.
+        gradient_floor: Added to the slope of the final tanh in the backward pass; its values stay those of tanh.
     """
 
-    def __init__(self, latent: int, context: int, actions: int, hidden: int, layers: int) -> None:
+    def __init__(
+        self, latent: int, context: int, actions: int, hidden: int, layers: int, gradient_floor: float = 0.0
+    ) -> None:
         super().__init__()
+        self.gradient_floor = gradient_floor
         self.net = mlp(latent + context, hidden, layers, actions)
 
     def forward(self, plan: Tensor, context: Tensor) -> Tensor:
         """``(B, Z)`` and ``(B, context)`` → ``(B, actions)``."""
-        return torch.tanh(self.net(torch.cat([plan, context], dim=-1)))
+        raw: Tensor = self.net(torch.cat([plan, context], dim=-1))
+        # Adaptation begins with the latent actions of a task that was never trained. Where these drive the frozen
+        # tanh far into saturation, its own slope is exactly zero in float32 and nothing could lead out again.
+        return torch.tanh(raw) + self.gradient_floor * (raw - raw.detach())
 
 
 class DomainDiscriminator(nn.Module):

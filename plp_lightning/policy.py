@@ -44,6 +44,8 @@ class PortablePolicy(nn.Module):
         encoder_layers: Hidden layers of the state encoder.
         policy_layers: Hidden layers of the common policy.
         decoder_layers: Hidden layers of the action decoder.
+        gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
+            vanishes where an untrained task's latent actions saturate it.
         decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
         clip: Bound of z-scored inputs, in deviations.
@@ -59,6 +61,7 @@ class PortablePolicy(nn.Module):
         encoder_layers: int = 3,
         policy_layers: int = 4,
         decoder_layers: int = 3,
+        gradient_floor: float = 0.1,
         decoder_state: Literal["none", "all"] | list[str] = "none",
         scaling: dict[str, Scaling] | None = None,
         clip: float = 5.0,
@@ -73,6 +76,7 @@ class PortablePolicy(nn.Module):
             "encoder_layers": encoder_layers,
             "policy_layers": policy_layers,
             "decoder_layers": decoder_layers,
+            "gradient_floor": gradient_floor,
             "decoder_state": decoder_state,
             "scaling": scaling,
             "clip": clip,
@@ -84,7 +88,7 @@ class PortablePolicy(nn.Module):
         actions = max(spec.action_size for spec in domains)
         self.encoder = StateEncoder(self.state_size + len(domains), latent, hidden, encoder_layers)
         self.common = CommonPolicy(latent, len(tasks), hidden, policy_layers)
-        self.decoder = ActionDecoder(latent, context, actions, hidden, decoder_layers)
+        self.decoder = ActionDecoder(latent, context, actions, hidden, decoder_layers, gradient_floor)
 
     def encode(self, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""

@@ -55,3 +55,16 @@ def test_judging_gives_the_same_logits_and_no_gradient_to_the_discriminator() ->
     assert latent.grad is not None
     assert latent.grad.abs().sum() > 0
     assert all(parameter.grad is None for parameter in discriminator.parameters())
+
+
+def test_a_saturated_decoder_can_be_led_out_again() -> None:
+    decoder = ActionDecoder(1, 0, 1, hidden=4, layers=0, gradient_floor=0.1)
+    with torch.no_grad():
+        decoder.net[0].weight.fill_(1.0)
+        decoder.net[0].bias.zero_()
+    plan = torch.tensor([[-40.0], [0.0], [0.5], [40.0]], requires_grad=True)
+    action = decoder(plan, torch.zeros(4, 0))
+    assert torch.equal(action, torch.tanh(plan))
+    action.sum().backward()
+    torch.testing.assert_close(plan.grad, 1 - torch.tanh(plan.detach()) ** 2 + 0.1)
+    assert plan.grad[0] == plan.grad[3] == 0.1  # the plain slope is exactly zero there
