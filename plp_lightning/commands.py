@@ -17,7 +17,7 @@ from plp_lightning.config import build_parser, option_values, parse, phase_names
 from plp_lightning.experiment import Experiment
 from plp_lightning.fit import check_trainer, fit
 from plp_lightning.options import OptionParser, positive
-from plp_lightning.results import print_success
+from plp_lightning.results import print_results, print_success
 from plp_lightning.run import RunDirectory
 from plp_lightning.versions import versions
 
@@ -55,7 +55,8 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
             f"--resume goes on with the configuration in {run.config}; drop all options but --allow_imports"
         )
     if run.status()["state"] == "done" and run.results.exists():
-        print(f"{path}: done already; its results are in {run.results}")
+        print_results(run.read_json(run.results.name), run)
+        print(f"{path}: done already; nothing was changed")
         return
     _fit(parse(["--config", str(run.config), *trusted]), run)
 
