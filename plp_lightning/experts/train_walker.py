@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import json
 import platform
-import sys
 import time
-from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -252,15 +250,22 @@ def train_walker(
         policy_kwargs={"net_arch": [128, 128], "activation_fn": nn.Tanh, "log_std_init": np.log(NOISE[0])},
         device="cpu",
     )
-    model.learn(steps, callback=_Report(plane, steps, out, _record(legs, seed, walkers), every))
-    save_gait(model.policy, env, out, {**_record(legs, seed, walkers), "steps": model.num_timesteps})
+    record = _record(legs, steps, seed, walkers)
+    model.learn(steps, callback=_Report(plane, steps, out, record, every))
+    save_gait(model.policy, env, out, {**record, "steps": model.num_timesteps})
 
 
-def _record(legs: int, seed: int, walkers: int) -> dict[str, object]:
+def _record(legs: int, steps: int, seed: int, walkers: int) -> dict[str, object]:
+    options = {"legs": legs, "steps": steps, "seed": seed, "walkers": walkers}
+    command = "python -m plp_lightning.experts.train_walker"
     packages = ("mujoco", "stable_baselines3", "torch", "numpy")
     versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}
-    command: Sequence[str] = ["python", "-m", "plp_lightning.experts.train_walker", *sys.argv[1:]]
-    return {"command": " ".join(command), "legs": legs, "seed": seed, "walkers": walkers, "versions": versions}
+    return {
+        "command": " ".join([command, *(f"--{name} {value}" for name, value in options.items())]),
+        "legs": legs,
+        "seed": seed,
+        "versions": versions,
+    }
 
 
 if __name__ == "__main__":
