@@ -24,7 +24,10 @@ def shuffled(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarr
 
 
 class AlignmentOrder:
-    """Steps of the alignment phase: equal shares of every domain, one pass over the largest a epoch.
+    """Steps of the alignment phase: equal shares of every domain, as many samples an epoch as all have together.
+
+    So a small domain's rows come more than once in an epoch, a large one's not all; the paper says only that
+    batches are drawn from all demonstrations.
 
     Args:
         rows: Rows to draw from, by domain.
@@ -35,7 +38,7 @@ class AlignmentOrder:
     def __init__(self, rows: Mapping[str, np.ndarray], batch_size: int, seed: int) -> None:
         self.rows, self.seed = rows, seed
         self.share = max(1, batch_size // len(rows))
-        self.steps = -(-max(len(r) for r in rows.values()) // self.share)
+        self.steps = -(-sum(len(r) for r in rows.values()) // (self.share * len(rows)))
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
         """Rows ``(share,)`` by domain, for each step of the epoch."""

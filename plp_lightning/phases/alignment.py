@@ -33,7 +33,7 @@ class Alignment(Phase):
         tcc_similarity: First softmax of TCC: distances as printed in the paper, squared, or squared and scaled.
         discriminator_layers: Hidden layers of the discriminator.
         discriminator_hidden: Units in its hidden layers.
-        epochs: Passes over the largest domain's proxy data.
+        epochs: Passes over the proxy data, counted in samples of all domains together.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
     """
