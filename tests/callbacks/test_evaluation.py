@@ -8,7 +8,9 @@ from plp_lightning.callbacks import evaluation
 from plp_lightning.callbacks.evaluation import SimulatorEvaluation
 
 
-def run_epochs(callback: SimulatorEvaluation, monkeypatch: pytest.MonkeyPatch, seconds: float, cost: float) -> list[int]:
+def run_epochs(
+    callback: SimulatorEvaluation, monkeypatch: pytest.MonkeyPatch, seconds: float, cost: float
+) -> list[int]:
     """Epochs (of 60) after which ``callback`` evaluated, on a clock where both durations are exact."""
     clock, turns = SimpleNamespace(now=0.0), []
 
