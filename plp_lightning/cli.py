@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from datamodules.errors import ConfigError, UserError
 
 VERBS = {
-    "fit": ("plp_lightning.commands:run_fit", "train every phase of a method, evaluate, report"),
-    "collect": ("plp_lightning.commands:run_collect", "collect the demonstrations that an experiment lacks"),
-    "validate": ("plp_lightning.commands:run_validate", "held-out losses and alignment scores of a run"),
-    "test": ("plp_lightning.commands:run_test", "success rates of a run in the simulators"),
-    "predict": ("plp_lightning.commands:run_predict", "actions of a run's policy on held-out trajectories"),
-    "data": ("plp_lightning.data_commands:run_data", "inspect or validate a trajectory file"),
+    "fit": ("plp_lightning.verbs.experiments:run_fit", "train every phase of a method, evaluate, report"),
+    "collect": ("plp_lightning.verbs.experiments:run_collect", "collect the demonstrations that an experiment lacks"),
+    "validate": ("plp_lightning.verbs.experiments:run_validate", "held-out losses and alignment scores of a run"),
+    "test": ("plp_lightning.verbs.experiments:run_test", "success rates of a run in the simulators"),
+    "predict": ("plp_lightning.verbs.experiments:run_predict", "actions of a run's policy on held-out trajectories"),
+    "data": ("plp_lightning.verbs.data:run_data", "inspect or validate a trajectory file"),
 }
 
 USAGE = """usage: plp VERB [options]

@@ -96,10 +96,14 @@ class ExpertCollector:
             ) as pool,
         ):
             futures: dict[Future[list[Trajectory]], Job] = {pool.submit(demonstrate, j, self.recipe): j for j in jobs}
-            for future in as_completed(futures):
-                made = future.result()
-                progress.advance(len(made), f"{futures[future].domain} {futures[future].task}")
-                yield from made
+            try:
+                for future in as_completed(futures):
+                    made = future.result()
+                    progress.advance(len(made), f"{futures[future].domain} {futures[future].task}")
+                    yield from made
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # no use in the rest if one task can't be had
+                raise
 
     def _provenance(self) -> dict[str, object]:
         experts = {name: type(domain.expert).__name__ for name, domain in self.domains.items()}

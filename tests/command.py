@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import torch
 
 from plp_lightning.cli import main
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.directory import RunDirectory
 
 ROOT = Path(__file__).parents[1]
 SMOKE = ["--config", str(ROOT / "configs" / "smoke.yaml")]
@@ -29,7 +29,7 @@ METHODS = sorted((ROOT / "configs" / "methods").glob("*.yaml"))
 
 processes = multiprocessing.get_context("forkserver")
 # Imported once; every process that is to die is a fork of that one.
-processes.set_forkserver_preload(["plp_lightning.commands"])
+processes.set_forkserver_preload(["plp_lightning.verbs.experiments"])
 
 
 class Answer(NamedTuple):

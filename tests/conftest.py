@@ -19,7 +19,7 @@ from lightning.pytorch import Callback, Trainer
 
 from datamodules.hdf5 import write_trajectories
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO
-from plp_lightning.fit import quiet_lightning
+from plp_lightning.runs.fit import quiet_lightning
 
 torch.set_num_threads(1)
 settings.register_profile("plp", deadline=None, derandomize=True, database=None)

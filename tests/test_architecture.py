@@ -27,7 +27,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.progress": set(),
     "plp_lightning.seeding": set(),
     "plp_lightning.versions": set(),
-    "plp_lightning.allowlist": set(),
+    "plp_lightning.verbs.allowlist": set(),
     "plp_lightning.networks": WORDS,
     "plp_lightning.losses": WORDS,
     "plp_lightning.envs": WORDS,
@@ -36,20 +36,28 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.policy": WORDS | POLICY,
     "plp_lightning.phases": {"datamodules", "plp_lightning.losses"} | POLICY,
     "plp_lightning.baselines": {"datamodules", "plp_lightning.losses", "plp_lightning.phases"} | POLICY,
-    "plp_lightning.metrics_file": {"datamodules"},
-    "plp_lightning.run": {"datamodules"},
+    "plp_lightning.runs.metrics_file": {"datamodules"},
+    "plp_lightning.runs.directory": {"datamodules"},
     "plp_lightning.evaluation": {"datamodules", "plp_lightning.envs"} | POLICY | LEAVES,
     "plp_lightning.collect": {"datamodules", "plp_lightning.envs"} | LEAVES,
     "plp_lightning.callbacks": {"datamodules", "plp_lightning.phases", "plp_lightning.evaluation"}
     | {"plp_lightning.envs"}
     | POLICY
     | LEAVES,
-    # Configuration, the verbs and what they run join everything; only the entry points know the command line.
+    "plp_lightning.experiment": {"datamodules", "plp_lightning.phases", "plp_lightning.evaluation"}
+    | {"plp_lightning.envs"}
+    | POLICY,
+    "plp_lightning.runs": {"datamodules", "plp_lightning.phases", "plp_lightning.evaluation"}
+    | {"plp_lightning.callbacks", "plp_lightning.experiment"}
+    | POLICY
+    | LEAVES,
+    # Configuration and the verbs join everything; only the entry points know the command line.
+    "plp_lightning.verbs": ALL,
     "plp_lightning.__main__": {"plp_lightning.cli"},
     "plp_lightning": ALL,
 }
 ENTRY = "plp_lightning.cli"
-LIGHT = ("plp_lightning.cli", "plp_lightning.data_commands", "plp_lightning.data_verbs", "datamodules.hdf5")
+LIGHT = ("plp_lightning.cli", "plp_lightning.verbs.data", "plp_lightning.verbs.inspection", "datamodules.hdf5")
 SIMULATORS = {"mujoco", "robosuite", "gymnasium", "gymnasium_robotics", "metaworld"}
 NO_SIMULATOR = ("datamodules", "plp_lightning.losses", "plp_lightning.phases", "plp_lightning.baselines", *POLICY)
 

@@ -11,7 +11,7 @@ import pytest
 from command import ROOT, complaint, data_root, plp, tiny_smoke
 
 from plp_lightning.cli import VERBS, find_verb
-from plp_lightning.config import option_values
+from plp_lightning.verbs.config import option_values
 
 LIGHT = """
 import sys

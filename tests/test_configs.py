@@ -12,8 +12,8 @@ from command import METHODS, ROOT, TINY, complaint, plp
 
 from datamodules.hdf5 import write_trajectories
 from datamodules.types import Observation, Trajectory
-from plp_lightning.config import BASE, parse
 from plp_lightning.experiment import Experiment
+from plp_lightning.verbs.config import BASE, parse
 
 EXPERIMENTS = sorted(path for path in (ROOT / "configs").glob("*.yaml") if path.name != "base.yaml")
 BY_NAME = {path.stem: path for path in EXPERIMENTS}

@@ -20,7 +20,7 @@ from datamodules.errors import UserError
 from datamodules.hdf5 import write_trajectories
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.directory import RunDirectory
 
 
 @pytest.fixture(scope="module")

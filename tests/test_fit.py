@@ -10,8 +10,8 @@ import yaml
 from command import METHODS, SMOKE, checkpoint, data_root, plp, smoke_run, tiny_smoke
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from plp_lightning.metrics_file import read_rows
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.metrics_file import read_rows
 
 PHASES = ("alignment", "adaptation")
 TRIALS = ("target", "source", "proxy", "proxy_source")

@@ -10,8 +10,8 @@ import h5py
 import pytest
 from command import checkpoint, complaint, data_root, dies, plp, results, same, smoke_run, tiny_smoke
 
-from plp_lightning.metrics_file import read_rows
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.metrics_file import read_rows
 
 STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
 PHASES = ("alignment", "adaptation")
@@ -43,9 +43,9 @@ MOMENTS = {
     "first step": (STEP, 1),
     "second epoch of alignment": (STEP, 8),
     "adaptation": (STEP, 14),
-    "before evaluation of alignment": ("plp_lightning.fit:evaluate_all", 1),
-    "between phases": ("plp_lightning.fit:load_policy_weights", 1),
-    "final evaluation": ("plp_lightning.fit:evaluate_all", 2),
+    "before evaluation of alignment": ("plp_lightning.runs.fit:evaluate_all", 1),
+    "between phases": ("plp_lightning.runs.fit:load_policy_weights", 1),
+    "final evaluation": ("plp_lightning.runs.fit:evaluate_all", 2),
     **{f"file {n} written, not moved": ("datamodules.atomic:os.replace", n) for n in (1, 9, 14)},
 }
 

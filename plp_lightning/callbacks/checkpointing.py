@@ -91,8 +91,13 @@ class RandomState(Callback):
         self.loaded = None
 
 
-def best_and_last(folder: Path) -> list[ModelCheckpoint]:
-    """``best.ckpt`` by held-out loss and ``last.ckpt``; one callback for both would let "last" fall behind."""
+def best_and_last(folder: Path, held_out: bool = True) -> list[ModelCheckpoint]:
+    """``best.ckpt`` by held-out loss and ``last.ckpt``; one callback for both would let "last" fall behind.
+
+    Args:
+        folder: Where they go.
+        held_out: Whether there is a held-out loss to tell the best by.
+    """
     best = ModelCheckpoint(
         dirpath=folder, filename="best", monitor="val/bc", save_top_k=1, enable_version_counter=False
     )
@@ -105,4 +110,4 @@ def best_and_last(folder: Path) -> list[ModelCheckpoint]:
         save_on_train_epoch_end=True,
         enable_version_counter=False,
     )
-    return [best, last]
+    return [best, last] if held_out else [last]

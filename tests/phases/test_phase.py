@@ -11,9 +11,9 @@ from lightning.pytorch import Trainer
 
 from datamodules.types import DomainSpec
 from plp_lightning.callbacks.checkpointing import RandomState, best_and_last, read_checkpoint
-from plp_lightning.metrics_file import MetricsFile
 from plp_lightning.phases import Adaptation, Alignment
 from plp_lightning.policy import PortablePolicy
+from plp_lightning.runs.metrics_file import MetricsFile
 
 
 def logged(folder: Path, name: str) -> list[float]:

@@ -12,13 +12,13 @@ from pathlib import Path
 from rich.console import Console
 
 from datamodules.errors import ConfigError
-from plp_lightning.assess import Assessment, held_out_losses, predict_actions
-from plp_lightning.config import build_parser, option_values, parse, phase_names
 from plp_lightning.experiment import Experiment
-from plp_lightning.fit import check_trainer, fit
-from plp_lightning.options import OptionParser, positive
-from plp_lightning.results import print_results, print_success
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
+from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.fit import check_trainer, fit
+from plp_lightning.runs.results import print_results, print_success
+from plp_lightning.verbs.config import build_parser, option_values, parse, phase_names
+from plp_lightning.verbs.options import OptionParser, positive
 from plp_lightning.versions import versions
 
 

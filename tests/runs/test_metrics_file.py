@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from plp_lightning.metrics_file import MetricsFile, read_rows
+from plp_lightning.runs.metrics_file import MetricsFile, read_rows
 
 
 def lines(folder: Path) -> list[str]:

@@ -15,7 +15,6 @@ from lightning.pytorch import Callback, Trainer
 from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
 from plp_lightning import callbacks, envs, experts  # noqa: F401  (short class names work once these are imported)
-from plp_lightning.allowlist import ALLOWED_IMPORTS
 from plp_lightning.callbacks.latent_picture import LatentPicture  # noqa: F401
 from plp_lightning.collect import ExpertCollector, Recipe
 from plp_lightning.envs.base import Domain
@@ -29,9 +28,10 @@ from plp_lightning.experiment import (
     check_numbers,
     check_roles,
 )
-from plp_lightning.explanation import explain
+from plp_lightning.verbs.allowlist import ALLOWED_IMPORTS
+from plp_lightning.verbs.explanation import explain
 
-BASE = Path(__file__).parent / "configs" / "base.yaml"
+BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
 LINKED = {"path", "tasks", "proxies", "target_tasks", "domains", "seed", "collector"}
 """Arguments of the DataModule that follow from others."""
 OURS = {

@@ -24,14 +24,14 @@ from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.callbacks.progress import PhaseProgress
-from plp_lightning.demonstrations import prepare_demonstrations
 from plp_lightning.evaluation.simulation import evaluate_all
 from plp_lightning.experiment import Experiment
-from plp_lightning.metrics_file import MetricsFile
 from plp_lightning.phases import Phase
 from plp_lightning.policy import PortablePolicy
-from plp_lightning.results import log_hyperparameters, write_results
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.demonstrations import prepare_demonstrations
+from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.metrics_file import MetricsFile
+from plp_lightning.runs.results import log_hyperparameters, write_results
 
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
@@ -125,6 +125,8 @@ def build_trainer(
     quiet_lightning()
     folder = run.phase(name)
     settings = {key: value for key, value in experiment.trainer.items() if key != "max_epochs"}
+    if experiment.data.held_out == 0:
+        settings["limit_val_batches"] = 0
     return Trainer(
         **settings,
         max_epochs=experiment.trainer["max_epochs"] or phase.epochs,
@@ -157,7 +159,8 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list
     ]
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
-    return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(run.checkpoint(name).parent)]
+    folder, held_out = run.checkpoint(name).parent, experiment.data.held_out > 0
+    return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(folder, held_out)]
 
 
 def assess(experiment: Experiment, policy: PortablePolicy) -> dict[str, Any]:

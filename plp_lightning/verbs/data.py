@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from plp_lightning.data_verbs import inspect_file, validate
-from plp_lightning.options import OptionParser
+from plp_lightning.verbs.inspection import inspect_file, validate
+from plp_lightning.verbs.options import OptionParser
 
 
 def run_data(arguments: Sequence[str]) -> None:

@@ -9,7 +9,7 @@ import torch
 from datamodules.errors import TrajectoryFileError
 from datamodules.transfer import TransferDataModule
 from plp_lightning.experiment import Experiment
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.directory import RunDirectory
 
 
 def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:

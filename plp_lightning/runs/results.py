@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from plp_lightning.experiment import Experiment
-from plp_lightning.run import RunDirectory
+from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.versions import versions
 
 ROWS = {

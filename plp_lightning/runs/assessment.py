@@ -14,8 +14,8 @@ import torch
 from datamodules.atomic import locked_folder, replacing
 from plp_lightning.evaluation.simulation import evaluate_all
 from plp_lightning.experiment import Experiment
-from plp_lightning.fit import load_policy_weights
 from plp_lightning.policy import PortablePolicy
+from plp_lightning.runs.fit import load_policy_weights
 
 
 @dataclass(frozen=True)
