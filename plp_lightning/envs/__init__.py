@@ -2,6 +2,7 @@
 
 from plp_lightning.envs.base import Domain, Expert, Simulator
 from plp_lightning.envs.lift import Lift
+from plp_lightning.envs.maze import PointMaze, WalkerMaze
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
 
-__all__ = ["Domain", "Expert", "Lift", "LinearPoint", "LinearPointExpert", "Simulator"]
+__all__ = ["Domain", "Expert", "Lift", "LinearPoint", "LinearPointExpert", "PointMaze", "Simulator", "WalkerMaze"]

@@ -9,11 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from datamodules.errors import ConfigError
 from datamodules.sampler import generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator
-from plp_lightning.evaluation.alignment import closeness
+from plp_lightning.envs.maze import PointMaze
+from plp_lightning.evaluation.alignment import closeness, top_accuracy
 from plp_lightning.policy import PortablePolicy
 
 SAMPLE = 7
@@ -53,6 +55,43 @@ class ClosenessScore(AlignmentScore):
             place = simulators[domain].shared_position(observation.state.numpy())
             positions.append(torch.from_numpy(place))
         return {"closeness": float(closeness(latents[0], latents[1], positions[0], positions[1]))}
+
+
+class PairAccuracy(AlignmentScore):
+    """How often a state's true partner has the nearest latent (top-1), or one of the five nearest (paper, 5.3).
+
+    For point mazes that show the same physics in different ways, so that the partner of every state is known.
+
+    Args:
+        samples: Pairs.
+    """
+
+    def __init__(self, samples: int = 1000) -> None:
+        self.samples = samples
+
+    def __call__(
+        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+    ) -> dict[str, float]:
+        """``{"top1": …, "top5": …}``.
+
+        Raises:
+            ConfigError: If a domain is no point maze.
+        """
+        source, target = simulators[data.source_domain], simulators[data.target_domain]
+        if not isinstance(source, PointMaze) or not isinstance(target, PointMaze):
+            raise ConfigError("score PairAccuracy is for two domains of PointMaze; expected ClosenessScore for others")
+        observation = sample_states(data, data.target_domain, self.samples)
+        partner = partners(observation.state.numpy(), target, source)
+        latents = [
+            encode(policy, data.source_domain, Observation(torch.from_numpy(partner))),
+            encode(policy, data.target_domain, observation),
+        ]
+        return {f"top{k}": float(top_accuracy(*latents, k)) for k in (1, 5)}
+
+
+def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray:
+    """How ``other`` shows what ``maze`` shows as ``state (N, 4)``: its transformation is its own inverse."""
+    return other.states_in_maze(maze.states_in_maze(state))
 
 
 def sample_states(data: TransferDataModule, domain: str, count: int) -> Observation[Tensor]:
