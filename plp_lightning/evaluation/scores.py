@@ -82,11 +82,9 @@ class PairAccuracy(AlignmentScore):
             raise ConfigError("score PairAccuracy is for two domains of PointMaze; expected ClosenessScore for others")
         observation = sample_states(data, data.target_domain, self.samples)
         partner = partners(observation.state.numpy(), target, source)
-        latents = [
-            encode(policy, data.source_domain, Observation(torch.from_numpy(partner))),
-            encode(policy, data.target_domain, observation),
-        ]
-        return {f"top{k}": float(top_accuracy(*latents, k)) for k in (1, 5)}
+        there = encode(policy, data.target_domain, observation)
+        here = encode(policy, data.source_domain, Observation(torch.from_numpy(partner)))
+        return {f"top{k}": float(top_accuracy(here, there, k)) for k in (1, 5)}
 
 
 def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray:

@@ -197,7 +197,8 @@ class _Report(BaseCallback):
         save_gait(self.model.policy, vec, self._out, {**self._record, "steps": self.num_timesteps})
 
     def _log_std(self) -> torch.Tensor:
-        return self.model.policy.get_parameter("log_std")
+        log_std: torch.Tensor = self.model.policy.get_parameter("log_std")
+        return log_std
 
 
 def save_gait(policy: Any, normalize: VecNormalize, out: Path, record: dict[str, object]) -> None:
