@@ -8,9 +8,11 @@ import tiny
 import torch
 from torch import Tensor, nn
 
+from datamodules.errors import ConfigError
 from datamodules.types import Observation
+from plp_lightning.envs.maze import PointMaze
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.evaluation.scores import ClosenessScore, encode, sample_states
+from plp_lightning.evaluation.scores import ClosenessScore, PairAccuracy, encode, partners, sample_states
 
 SIMULATORS = {name: domain.simulator for name, domain in tiny.domains().items()}
 
@@ -61,3 +63,16 @@ def test_encoding_is_the_policys_encoder_without_gradients(trajectory_file: Path
     found = encode(policy, "tall", seen)
     assert torch.equal(found, policy.encode({"tall": seen})["tall"])
     assert not found.requires_grad
+
+
+def test_partners_of_point_mazes_show_the_same_physics() -> None:
+    plain, mirrored = PointMaze("umaze"), PointMaze("umaze", swap_axes=True, negate_actions=True)
+    state = np.array([[1.0, 2.0, 3.0, 4.0]])
+    assert partners(state, plain, mirrored).tolist() == [[2.0, 1.0, 4.0, 3.0]]
+    assert partners(partners(state, plain, mirrored), mirrored, plain).tolist() == state.tolist()
+
+
+def test_true_pairs_are_known_for_point_mazes_alone(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    with pytest.raises(ConfigError, match="PairAccuracy is for two domains of PointMaze"):
+        PairAccuracy(50)(Oracle(blind=False), data, SIMULATORS)
