@@ -14,12 +14,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
-from lightning.pytorch import Trainer
-from training_step import StepTimer, make_data
+from training_step import make_data, timed_fit
 
 from datamodules.transfer import TransferDataModule
-from plp_lightning.callbacks.freezing import FreezeGuard
-from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.phases import Adaptation
 from plp_lightning.policy import PortablePolicy
@@ -46,18 +43,7 @@ def naive_loop(data: TransferDataModule, steps: int) -> float:
 def phase_loop(data: TransferDataModule, steps: int) -> float:
     """CPU seconds a step of the Adaptation phase under a Trainer with this project's callbacks."""
     phase = Adaptation(PortablePolicy(data.specs, data.tasks, data.statistics()), epochs=1)
-    timer = StepTimer()
-    trainer = Trainer(
-        max_epochs=1,
-        limit_train_batches=steps,
-        logger=False,
-        callbacks=[FreezeGuard(), FiniteGuard(), timer],
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-    )
-    trainer.fit(phase, datamodule=data)
-    return timer.seconds / steps
+    return timed_fit(phase, data, steps)
 
 
 def main() -> None:

@@ -24,7 +24,7 @@ from plp_lightning.callbacks.checkpointing import RandomState
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.losses import behavioural_cloning, mmd
-from plp_lightning.phases import Alignment
+from plp_lightning.phases import Alignment, Phase
 from plp_lightning.policy import PortablePolicy
 
 TASKS = [f"task_{i}" for i in range(17)]
@@ -88,6 +88,11 @@ def lightning_loop(data: TransferDataModule, steps: int, terms: list[str]) -> fl
     """CPU seconds a step of the same by the Alignment phase under a Trainer with this project's callbacks."""
     policy = PortablePolicy(data.specs, data.tasks, data.statistics())
     phase = Alignment(policy, terms, epochs=1)  # type: ignore[arg-type]
+    return timed_fit(phase, data, steps)
+
+
+def timed_fit(phase: Phase, data: TransferDataModule, steps: int) -> float:
+    """CPU seconds a step of a phase under a Trainer with this project's callbacks."""
     timer = StepTimer()
     trainer = Trainer(
         max_epochs=1,
