@@ -40,7 +40,7 @@ class PairSource:
         """The two domains' sequences for one step."""
         draw = self.order.step(epoch, step)
         return {
-            domain: thin_out(self.tables[domain], draw.episodes[i], draw.phase[i], self.stride)
+            domain: thin_out(self.tables[domain], draw.episodes[i], draw.phase, self.stride)
             for i, domain in enumerate(draw.domains)
         }
 

@@ -99,7 +99,7 @@ class PairDraw(NamedTuple):
     episodes: np.ndarray
     """``(2, P)``: trajectory ids in the first and the second domain."""
     phase: np.ndarray
-    """``(2, P)`` in [0, 1): where in the first stride to begin, so that every frame gets its turn."""
+    """``(P,)`` in [0, 1): where in the first stride both begin, so that every frame gets its turn beside its like."""
 
 
 class PairOrder:
@@ -123,7 +123,7 @@ class PairOrder:
         common = sorted(set(self.episodes[first]) & set(self.episodes[second]))
         tasks = rng.choice(common, self.count)
         drawn = np.stack([self._pick(domain, tasks, rng) for domain in (first, second)])
-        return PairDraw((first, second), drawn, rng.random((2, self.count)))
+        return PairDraw((first, second), drawn, rng.random(self.count))
 
     def _pick(self, domain: str, tasks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         pools = [self.episodes[domain][task] for task in tasks]

@@ -143,6 +143,7 @@ def test_pairs_show_the_same_task_in_two_domains() -> None:
         tasks = [[task_of[i][int(e)] for e in draw.episodes[i]] for i in range(2)]
         assert tasks[0] == tasks[1]
         assert set(tasks[0]) == {0, 1}
+        assert draw.phase.shape == (200,)
         assert ((draw.phase >= 0) & (draw.phase < 1)).all()
 
 
