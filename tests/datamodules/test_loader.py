@@ -85,7 +85,7 @@ def test_pairs_of_a_step_are_those_of_the_order() -> None:
         draw = order.step(0, step)
         assert list(batch.pairs) == list(draw.domains)
         for i, domain in enumerate(draw.domains):
-            expected = thin_out(TABLES[domain], draw.episodes[i], draw.phase[i], 2)
+            expected = thin_out(TABLES[domain], draw.episodes[i], draw.phase, 2)
             assert torch.equal(batch.pairs[domain].observation.state, expected.observation.state)
             assert torch.equal(batch.pairs[domain].mask, expected.mask)
 
