@@ -4,5 +4,17 @@ from plp_lightning.envs.base import Domain, Expert, Simulator
 from plp_lightning.envs.lift import Lift
 from plp_lightning.envs.maze import PointMaze, WalkerMaze
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
+from plp_lightning.envs.tabletop import Reach, Window
 
-__all__ = ["Domain", "Expert", "Lift", "LinearPoint", "LinearPointExpert", "PointMaze", "Simulator", "WalkerMaze"]
+__all__ = [
+    "Domain",
+    "Expert",
+    "Lift",
+    "LinearPoint",
+    "LinearPointExpert",
+    "PointMaze",
+    "Reach",
+    "Simulator",
+    "WalkerMaze",
+    "Window",
+]

@@ -1,7 +1,8 @@
 """EXPERTS: who demonstrates."""
 
 from plp_lightning.experts.lift import LiftExpert
+from plp_lightning.experts.tabletop import ReachExpert, WindowExpert
 from plp_lightning.experts.walker import WalkerExpert
 from plp_lightning.experts.waypoint import WaypointExpert
 
-__all__ = ["LiftExpert", "WalkerExpert", "WaypointExpert"]
+__all__ = ["LiftExpert", "ReachExpert", "WalkerExpert", "WaypointExpert", "WindowExpert"]

@@ -1,0 +1,98 @@
+"""A camera that draws a model's states as small images, without a screen, shadows and reflections.
+
+Importing this module imports MuJoCo.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from datamodules.errors import UserError
+from plp_lightning.envs.rendering import choose_backend, missing
+
+_OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
+
+
+class Viewpoint(NamedTuple):
+    """Where a camera stands, and what it looks at."""
+
+    azimuth: float
+    """Direction of the view around the vertical, degrees; 90 looks along +y."""
+    elevation: float
+    """Direction of the view against the horizon, degrees; negative looks down."""
+    distance: float
+    """From the point looked at, m."""
+    lookat: tuple[float, float, float] = (0.0, 0.7, 0.15)
+    """In the world, m."""
+
+
+class Camera:
+    """Draws states of one model from one viewpoint.
+
+    Its OpenGL context belongs to the thread that makes the camera: only that thread may use it or let it go.
+
+    Args:
+        model: What to draw; its offscreen buffer decides the largest image.
+        viewpoint: From where.
+        size: Height and width of the images, pixels.
+
+    Raises:
+        UserError: If the chosen backend does not work on this machine.
+    """
+
+    def __init__(self, model: mujoco.MjModel, viewpoint: Viewpoint, size: int) -> None:
+        self._model = model
+        self._context = _make_context(size)
+        self._context.make_current()
+        self._drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 100)
+        for flag in _OFF:
+            self._scene.flags[flag] = 0
+        self._option = mujoco.MjvOption()
+        self._camera = free_camera(viewpoint)
+        self._frame = mujoco.MjrRect(0, 0, size, size)
+        self._pixels = np.empty((size, size, 3), dtype=np.uint8)
+
+    def image(self, data: mujoco.MjData, out: np.ndarray | None = None) -> np.ndarray:
+        """The state in ``data``, whose kinematics are fresh, as uint8 ``(size, size, 3)``, top row first.
+
+        Args:
+            data: What to draw.
+            out: Where to write the image; a new array if None.
+        """
+        out = np.empty_like(self._pixels) if out is None else out
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, everything, self._scene)
+        self._context.make_current()
+        mujoco.mjr_render(self._frame, self._scene, self._drawing)
+        mujoco.mjr_readPixels(self._pixels, None, self._frame, self._drawing)
+        out[:] = self._pixels[::-1]  # OpenGL counts rows from below
+        return out
+
+    def close(self) -> None:
+        """Give the context back; the camera cannot be used any more."""
+        self._drawing.free()
+        self._context.free()
+
+
+def free_camera(viewpoint: Viewpoint) -> mujoco.MjvCamera:
+    """MuJoCo's free camera at a viewpoint."""
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat[:] = viewpoint.lookat
+    camera.azimuth, camera.elevation, camera.distance = viewpoint[:3]
+    return camera
+
+
+def _make_context(size: int) -> Any:
+    """An OpenGL context of the chosen backend, taken from its own module: it may be chosen after MuJoCo's import."""
+    backend = choose_backend()
+    try:
+        return importlib.import_module(f"mujoco.{backend}").GLContext(size, size)
+    except Exception as error:  # PyOpenGL's errors have nothing else in common
+        raise UserError(missing(backend)) from error

@@ -1,0 +1,273 @@
+"""V2V: one task seen from two sides. A Sawyer reaches for a ball, or opens and closes a window, by what it sees.
+
+The scenes and their physics are Meta-World's (https://github.com/Farama-Foundation/Metaworld); a domain is a
+viewpoint. Images show what is there, and nothing that marks the goal; the state is the hand's own.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Literal, get_args
+from zlib import crc32
+
+import numpy as np
+
+from datamodules.errors import ConfigError
+from datamodules.types import DomainSpec, Observation, ObservationKey
+from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.threads import available_cores
+
+if TYPE_CHECKING:
+    from plp_lightning.envs.tabletop_model import TabletopModel
+    from plp_lightning.envs.tabletop_physics import Layout, TabletopPhysics
+
+View = Literal["front_left", "front_right", "front", "rear"]
+
+VIEWS: dict[View, tuple[float, float, float]] = {
+    "front_left": (235.0, -35.0, 1.1),
+    "front_right": (305.0, -45.0, 1.1),
+    "front": (270.0, -40.0, 1.15),
+    "rear": (125.0, -30.0, 1.15),
+}
+"""Azimuth and elevation, degrees, and distance, m, of the camera."""
+RADIUS = 0.05
+"""Distance that counts as there, Meta-World's, m."""
+SLOTS = np.array([[-0.15, 0.8, 0.15], [0.0, 0.8, 0.15], [0.15, 0.8, 0.15]])
+"""Places of the balls, m."""
+REACH_HAND = np.array([[-0.15, 0.5, 0.1], [0.15, 0.65, 0.3]])
+"""Where the hand starts in Reach: lowest and highest, m."""
+PUCK = np.array([0.0, 0.0, 100.0])
+"""Meta-World's puck is of no use here; it falls from so high that it never arrives."""
+WINDOW_HAND = np.array([[-0.1, 0.4, 0.15], [0.1, 0.5, 0.25]])
+WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])
+"""Where the window may stand: least and greatest x and y, m."""
+WINDOW_Z = 0.16
+SLIDE = 0.2
+"""How far the window opens, m."""
+AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}
+"""Window-Close, by quarter of the area."""
+
+
+class Tabletop(Simulator):
+    """What Reach and Window have in common: hand, camera, stepping.
+
+    The action moves the point that the hand follows by up to 1 cm along x, y and z; its fourth number opens (negative)
+    or closes (positive) the gripper. Control runs at 80 Hz.
+    """
+
+    def __init__(self, view: View, image_size: int, horizon: int, threads: int) -> None:
+        if view not in get_args(View):
+            raise ConfigError(f"view is {view!r}; expected one of: {', '.join(get_args(View))}")
+        if not 8 <= image_size <= 512:
+            raise ConfigError(f"image_size is {image_size}; expected 8 to 512 pixels")
+        if horizon < 1 or threads < 0:
+            raise ConfigError(f"horizon is {horizon}, threads is {threads}; expected at least 1 and at least 0")
+        self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
+        self._physics: TabletopPhysics | None = None
+
+    def proxies(self, target: str) -> tuple[str, ...]:
+        """All tasks but ``target``.
+
+        Raises:
+            ConfigError: If there is no such task.
+        """
+        self._check(target)
+        return tuple(task for task in self.tasks if task != target)
+
+    def spec(self, name: str) -> DomainSpec:
+        """An image, and position of the hand and opening of the gripper, now and one control step ago."""
+        keys = (
+            ObservationKey("image", (self.image_size, self.image_size, 3), kind="image"),
+            ObservationKey("hand_pos", (3,), unit="m"),
+            ObservationKey("gripper", (1,)),
+            ObservationKey("last_hand_pos", (3,), unit="m"),
+            ObservationKey("last_gripper", (1,)),
+        )
+        return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=f"Meta-World {self._family}, {self.view}")
+
+    def shared_position(self, state: np.ndarray) -> np.ndarray:
+        """Position of the hand in the world, ``(N, 3)``, m."""
+        position: np.ndarray = state[:, self.spec("").columns(["hand_pos"])]
+        return position
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Begin E episodes; the first call builds the model and finds a renderer.
+
+        Raises:
+            ConfigError: If a task is unknown.
+            UserError: If images cannot be drawn on this machine.
+        """
+        for task in tasks:
+            self._check(task)
+        layouts = [self._layout(task, self._stream(seed)) for task, seed in zip(tasks, seeds, strict=True)]
+        if self._physics is None:
+            self._physics = self._build()
+        first = self._physics.reset(layouts)
+        self._begin(tasks, layouts)
+        return first
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
+        rows = np.asarray(episodes, dtype=np.int64)
+        observation, invalid = self._running.step(np.asarray(actions, dtype=np.float64), rows)
+        return Step(observation, self._solved(rows) & ~invalid, invalid)
+
+    @abstractmethod
+    def aims(self, episodes: np.ndarray) -> np.ndarray:
+        """Where the ball or handle of each of the ``episodes (n,)`` is, ``(n, 3)``, m: for experts, not policies."""
+
+    @property
+    @abstractmethod
+    def _family(self) -> str:
+        """Name of the scene."""
+
+    @abstractmethod
+    def _layout(self, task: str, stream: np.random.Generator) -> Layout: ...
+
+    @abstractmethod
+    def _scene(self) -> TabletopModel: ...
+
+    @abstractmethod
+    def _begin(self, tasks: Sequence[str], layouts: Sequence[Layout]) -> None: ...
+
+    @abstractmethod
+    def _solved(self, rows: np.ndarray) -> np.ndarray: ...
+
+    @property
+    def _running(self) -> TabletopPhysics:
+        assert self._physics is not None, "reset comes before step"
+        return self._physics
+
+    def _build(self) -> TabletopPhysics:
+        from plp_lightning.envs.rendering import choose_backend
+
+        choose_backend()  # before MuJoCo is imported, which asks for it then
+        from plp_lightning.envs.rendering_camera import Viewpoint
+        from plp_lightning.envs.tabletop_physics import TabletopPhysics
+
+        viewpoint = Viewpoint(*VIEWS[self.view])
+        return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads or available_cores())
+
+    def _stream(self, seed: int) -> np.random.Generator:
+        # The view joins the seed, so that equal seeds do not align the domains' episodes.
+        return np.random.default_rng([seed, crc32(f"{self._family} {self.view}".encode())])
+
+    def _check(self, task: str) -> None:
+        if task not in self.tasks:
+            near = get_close_matches(task, self.tasks, n=1, cutoff=0.0)[0]
+            raise ConfigError(
+                f"no task {task!r} in {self._family}; expected one of: {', '.join(self.tasks)}; {near!r}?"
+            )
+
+
+class Reach(Tabletop):
+    """Touch the ball of one colour: three balls in random order, and the task names the colour.
+
+    The first ball that the fingertips come near to counts: visiting them in turn solves nothing. Pictures and
+    states of an episode do not depend on its task.
+
+    Args:
+        view: From where the camera looks.
+        image_size: Height and width of the images, pixels.
+        horizon: Control steps after which an unsolved episode counts as failed.
+        threads: Threads that step and draw; 0 means one for each core.
+
+    Raises:
+        ConfigError: If an argument is out of its range.
+    """
+
+    def __init__(self, view: View, image_size: int = 64, horizon: int = 150, threads: int = 0) -> None:
+        super().__init__(view, image_size, horizon, threads)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The colours."""
+        return ("red", "green", "blue")
+
+    def aims(self, episodes: np.ndarray) -> np.ndarray:
+        """Where the ball to be touched is, ``(n, 3)``, m."""
+        aims: np.ndarray = self._balls[episodes, self._goal[episodes]]
+        return aims
+
+    @property
+    def _family(self) -> str:
+        return "V2V-Reach"
+
+    def _layout(self, task: str, stream: np.random.Generator) -> Layout:
+        from plp_lightning.envs.tabletop_physics import Layout
+
+        return Layout(stream.uniform(*REACH_HAND), SLOTS[stream.permutation(len(SLOTS))], PUCK)
+
+    def _scene(self) -> TabletopModel:
+        from plp_lightning.envs.tabletop_model import reach_model
+
+        return reach_model(self.image_size)
+
+    def _begin(self, tasks: Sequence[str], layouts: Sequence[Layout]) -> None:
+        self._balls = np.array([layout.furniture for layout in layouts]).reshape(-1, 3, 3)
+        self._goal = np.array([self.tasks.index(task) for task in tasks], dtype=np.int64)
+        self._touched = np.full(len(tasks), -1)
+
+    def _solved(self, rows: np.ndarray) -> np.ndarray:
+        fingers = self._running.sites[rows].mean(axis=1, keepdims=True)
+        near = np.linalg.norm(fingers - self._balls[rows], axis=-1) <= RADIUS
+        first = (self._touched[rows] < 0) & near.any(axis=1)
+        self._touched[rows[first]] = near[first].argmax(axis=1)
+        solved: np.ndarray = near[np.arange(len(rows)), self._goal[rows]] & (self._touched[rows] == self._goal[rows])
+        return solved
+
+
+class Window(Tabletop):
+    """Close a window that stands in a known quarter of the table, or open one that stands anywhere on it.
+
+    Args:
+        view: From where the camera looks.
+        image_size: Height and width of the images, pixels.
+        horizon: Control steps after which an unsolved episode counts as failed.
+        threads: Threads that step and draw; 0 means one for each core.
+
+    Raises:
+        ConfigError: If an argument is out of its range.
+    """
+
+    def __init__(self, view: View, image_size: int = 64, horizon: int = 150, threads: int = 0) -> None:
+        super().__init__(view, image_size, horizon, threads)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """``close_x0y0`` to ``close_x1y1``, by quarter, and ``open``."""
+        return (*AREAS, "open")
+
+    def aims(self, episodes: np.ndarray) -> np.ndarray:
+        """Where the handle is, ``(n, 3)``, m."""
+        handle: np.ndarray = self._running.sites[episodes, self._handle[episodes]]
+        return handle
+
+    @property
+    def _family(self) -> str:
+        return "V2V-Open"
+
+    def _layout(self, task: str, stream: np.random.Generator) -> Layout:
+        from plp_lightning.envs.tabletop_physics import Layout
+
+        hand, share = stream.uniform(*WINDOW_HAND), stream.uniform(size=2)
+        if task != "open":
+            share = (np.array(AREAS[task]) + share) / 2
+        place = WINDOW_AREA[0] + share * (WINDOW_AREA[1] - WINDOW_AREA[0])
+        return Layout(hand, np.array([[*place, WINDOW_Z]]), np.array([0.0 if task == "open" else SLIDE]))
+
+    def _scene(self) -> TabletopModel:
+        from plp_lightning.envs.tabletop_model import window_model
+
+        return window_model(self.image_size)
+
+    def _begin(self, tasks: Sequence[str], layouts: Sequence[Layout]) -> None:
+        opening = np.array([task == "open" for task in tasks], dtype=np.bool_)
+        self._handle = np.where(opening, 2, 3)  # behind the two fingertips: for opening, for closing
+        self._end = np.array([layout.furniture[0, 0] for layout in layouts]) + SLIDE * opening
+
+    def _solved(self, rows: np.ndarray) -> np.ndarray:
+        solved: np.ndarray = np.abs(self.aims(rows)[:, 0] - self._end[rows]) <= RADIUS
+        return solved
