@@ -189,19 +189,13 @@ class TransferDataModule(LightningDataModule):
         return Loader(self.tables, AlignmentOrder(self.rows(self.proxies, "train"), self.batch_size, self.seed), pairs)
 
     def _pair_order(self) -> PairOrder:
-        episodes = {
-            domain: {
-                self.tasks.index(task): ids for task in self.proxies if len(ids := self.episodes_for_pair(domain, task))
-            }
-            for domain in self.domains
-        }
-        return PairOrder(episodes, self.pairs, self.seed)
+        return PairOrder({domain: self.episodes_by_task(domain) for domain in self.domains}, self.pairs, self.seed)
 
-    def episodes_for_pair(self, domain: str, task: str) -> np.ndarray:
-        """Training trajectories of one proxy task in a domain."""
+    def episodes_by_task(self, domain: str) -> dict[int, np.ndarray]:
+        """Training trajectories of a domain's proxy tasks, by task index; tasks without any are left out."""
         train = self.episodes(domain, self.proxies, "train")
-        ids: np.ndarray = train[self.tables[domain].episode_task[train] == self.tasks.index(task)]
-        return ids
+        task = self.tables[domain].episode_task[train]
+        return {int(index): train[task == index] for index in np.unique(task)}
 
     def train_dataloader(self) -> Loader:
         """Batches for the phase that the trainer runs, from where a resumed run stopped."""

@@ -179,7 +179,10 @@ def test_paired_trajectories_are_training_trajectories(trajectory_file: Path) ->
     data = tiny.data_module(trajectory_file, held_out=0.3)
     for domain in data.domains:
         kept = set(data.episodes(domain, tiny.PROXIES, "held_out").tolist())
-        paired = [e for task in tiny.PROXIES for e in data.episodes_for_pair(domain, task).tolist()]
+        by_task = data.episodes_by_task(domain)
+        assert {tiny.TASKS[task] for task in by_task} == set(tiny.PROXIES)
+        assert all((data.tables[domain].episode_task[ids] == task).all() for task, ids in by_task.items())
+        paired = [e for ids in by_task.values() for e in ids.tolist()]
         assert sorted(paired) == data.episodes(domain, tiny.PROXIES, "train").tolist()
         assert not kept & set(paired)
 
