@@ -16,7 +16,7 @@ from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec
 from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.evaluation.simulation import Trial
+from plp_lightning.evaluation.simulation import Success, Trial, evaluate_all
 from plp_lightning.phases import Phase
 from plp_lightning.policy import PortablePolicy
 
@@ -34,12 +34,18 @@ class EvaluationPlan:
         episodes: Episodes of each trial in these.
         final_episodes: Episodes of each trial at the end of a phase.
         score_every_n_epochs: Epochs between two alignment scores.
+        latent_states: States of each domain in the picture of the latent space; 0 draws none.
+        latent_every_n_epochs: Epochs between two of these pictures; 0 draws one at the end of a phase only.
+        latent_pairs: Corresponding states that are joined in them.
     """
 
     every_n_epochs: dict[str, int] = field(default_factory=dict)
     episodes: int = 20
     final_episodes: int = 100
     score_every_n_epochs: int = 5
+    latent_states: int = 500
+    latent_every_n_epochs: int = 0
+    latent_pairs: int = 20
 
 
 @dataclass(frozen=True)
@@ -89,6 +95,29 @@ class Experiment:
         """The policy, untrained, for the domains, tasks and statistics of the data."""
         return self.policy(self.data.specs, self.data.tasks, self.data.statistics())
 
+    def evaluate(
+        self,
+        policy: PortablePolicy,
+        episodes: int | None = None,
+        seed: int | None = None,
+        recorders: Mapping[str, Simulator] | None = None,
+    ) -> dict[str, Success]:
+        """Outcome of every trial at the end of training.
+
+        Args:
+            policy: The trained policy, in eval mode.
+            episodes: Episodes of each trial; those of the plan if not given.
+            seed: Seed of the initial states; that of the run if not given.
+            recorders: By trial: who stands in for its simulator, see :func:`evaluate_all`.
+        """
+        episodes = self.evaluation.final_episodes if episodes is None else episodes
+        seed = self.seed if seed is None else seed
+        return evaluate_all(policy, self.simulators, self.trials, episodes, seed, recorders)
+
+    def alignment(self, policy: PortablePolicy) -> dict[str, float]:
+        """Alignment scores of a policy; empty if the experiment has no score."""
+        return {} if self.score is None else self.score(policy, self.data, self.simulators)
+
 
 LEAST: Mapping[str, float] = {
     "seed": 0,
@@ -105,6 +134,9 @@ LEAST: Mapping[str, float] = {
     "policy.init_args.hidden": 1,
     "evaluation.episodes": 1,
     "evaluation.final_episodes": 1,
+    "evaluation.latent_states": 0,
+    "evaluation.latent_every_n_epochs": 0,
+    "evaluation.latent_pairs": 0,
     "trainer.max_epochs": 1,
 }
 """Smallest meaningful value of settings."""

@@ -22,7 +22,7 @@ TERMS = {"tcc": "train/tcc", "mmd": "train/mmd", "adversarial": "train/discrimin
 def pictured(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     """A miniature run that also draws its latent space."""
     root = tmp_path_factory.mktemp("pictured")
-    answer = plp("fit", *tiny_smoke(root), "--callbacks", "[{class_path: LatentPicture, init_args: {samples: 20}}]")
+    answer = plp("fit", *tiny_smoke(root), "--evaluation.latent_states", "20")
     assert answer.code == 0, answer
     return smoke_run(root)
 
@@ -102,7 +102,7 @@ def test_checkpoint_can_be_tested_with_a_config_instead(pictured: RunDirectory, 
 
 
 def test_transfer_works_where_the_answer_is_known(tmp_path: Path) -> None:
-    options = ["--data.root", data_root(), "--run_root", tmp_path, "--callbacks", "[]"]
+    options = ["--data.root", data_root(), "--run_root", tmp_path, "--evaluation.latent_states", "0"]
     answer = plp("fit", *SMOKE, *options)
     assert answer.code == 0, answer
     results = json.loads(smoke_run(tmp_path).results.read_text())

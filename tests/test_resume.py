@@ -43,9 +43,9 @@ MOMENTS = {
     "first step": (STEP, 1),
     "second epoch of alignment": (STEP, 8),
     "adaptation": (STEP, 14),
-    "before evaluation of alignment": ("plp_lightning.runs.fit:evaluate_all", 1),
+    "before evaluation of alignment": ("plp_lightning.experiment:evaluate_all", 1),
     "between phases": ("plp_lightning.runs.fit:load_policy_weights", 1),
-    "final evaluation": ("plp_lightning.runs.fit:evaluate_all", 2),
+    "final evaluation": ("plp_lightning.experiment:evaluate_all", 2),
     **{f"file {n} written, not moved": ("datamodules.atomic:os.replace", n) for n in (1, 9, 14)},
 }
 

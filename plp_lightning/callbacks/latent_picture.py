@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping
 
 import numpy as np
 from lightning.pytorch import Callback, LightningModule, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from sklearn.manifold import TSNE
 
 from datamodules.transfer import TransferDataModule
-from plp_lightning.evaluation.scores import encode, sample_states
+from plp_lightning.callbacks.picture import publish
+from plp_lightning.envs.base import Simulator
+from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_states
 from plp_lightning.phases import Phase
+from plp_lightning.policy import PortablePolicy
+
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+"""One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart
+(https://jfly.uni-koeln.de/color/)."""
 
 
 class LatentPicture(Callback):
     """t-SNE of all domains' latent states on proxy tasks, at the end of a phase or every n epochs.
 
+    As in the paper (Figure 3), lines join states of source and target domain that correspond. The target task in
+    the target domain is never read.
+
     Args:
         samples: States of each domain.
         every_n_epochs: Epochs between two pictures; 0 draws one at the end of the phase only.
+        pairs: Corresponding states that are joined.
+        score: Who knows which states correspond; without one nothing is joined.
+        simulators: By domain.
     """
 
-    def __init__(self, samples: int = 500, every_n_epochs: int = 0) -> None:
-        self.samples, self.every_n_epochs = samples, every_n_epochs
+    def __init__(
+        self,
+        samples: int = 500,
+        every_n_epochs: int = 0,
+        pairs: int = 20,
+        score: AlignmentScore | None = None,
+        simulators: Mapping[str, Simulator] | None = None,
+    ) -> None:
+        self.samples, self.every_n_epochs, self.pairs = samples, every_n_epochs, pairs
+        self.score, self.simulators = score, simulators or {}
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Draw, if it is this epoch's turn."""
@@ -37,30 +57,46 @@ class LatentPicture(Callback):
     def _draw(self, trainer: Trainer, phase: Phase) -> None:
         data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]
         latents = {d: encode(phase.policy, d, sample_states(data, d, self.samples)).numpy() for d in data.domains}
-        figure = latent_figure(latents)
-        for logger in trainer.loggers:
-            if isinstance(logger, TensorBoardLogger):
-                logger.experiment.add_image("latents", pixels(figure), trainer.global_step, dataformats="HWC")
-                figure.savefig(Path(logger.log_dir) / "latents.png", dpi=120)
+        publish(trainer, "latents", latent_figure(latents, self._joined(phase.policy, data)))
+
+    def _joined(self, policy: PortablePolicy, data: TransferDataModule) -> dict[str, np.ndarray]:
+        if self.score is None or self.pairs == 0:
+            return {}
+        states = self.score.correspondences(data, self.simulators, self.pairs)
+        return {domain: encode(policy, domain, seen).numpy() for domain, seen in (states or {}).items()}
 
 
-def latent_figure(latents: dict[str, np.ndarray]) -> Figure:
-    """Scatter plot of the t-SNE projection of ``latents[domain] (N_d, Z)``, one colour a domain."""
-    joined = np.concatenate(list(latents.values()))
-    perplexity = min(30.0, (len(joined) - 1) / 3)
-    flat = TSNE(perplexity=perplexity, random_state=0, init="pca").fit_transform(joined)
-    figure = Figure(figsize=(5, 5), layout="tight")
+def latent_figure(latents: Mapping[str, np.ndarray], joined: Mapping[str, np.ndarray] | None = None) -> Figure:
+    """Scatter plot of the t-SNE projection of latent states, one colour a domain.
+
+    Args:
+        latents: By domain, ``(N_d, Z)``.
+        joined: Of two of these domains ``(P, Z)``: row i of both is joined by a line.
+    """
+    pairs = dict(joined or {})
+    colours = {domain: COLOURS[i % len(COLOURS)] for i, domain in enumerate(latents)}
+    flat = _flatten([*latents.values(), *pairs.values()])
+    figure = Figure(figsize=(6, 6.5), layout="constrained")
     axes = figure.subplots()
-    ends = np.cumsum([len(part) for part in latents.values()])
-    for domain, points in zip(latents, np.split(flat, ends[:-1]), strict=True):
-        axes.scatter(points[:, 0], points[:, 1], s=8, alpha=0.6, label=domain, linewidths=0)
-    axes.set(xticks=[], yticks=[], title="latent states of the proxy tasks (t-SNE)")
-    axes.legend(markerscale=2)
+    for (domain, colour), points in zip(colours.items(), flat, strict=False):
+        axes.scatter(points[:, 0], points[:, 1], s=12, alpha=0.5, color=colour, label=domain, linewidths=0)
+    ends = dict(zip(pairs, flat[len(latents) :], strict=True))
+    if ends:
+        lines = np.stack(list(ends.values()), axis=1)
+        label = f"{len(lines)} pairs of corresponding states"
+        axes.add_collection(LineCollection(lines, colors="black", linewidths=0.8, label=label, zorder=3))
+    for domain, points in ends.items():
+        axes.scatter(points[:, 0], points[:, 1], s=26, color=colours[domain], edgecolors="black", zorder=4)
+    axes.set(xticks=[], yticks=[])
+    axes.set_title("latent states of the proxy tasks (t-SNE)", fontsize=12)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3, markerscale=2, frameon=False, fontsize=10)
     return figure
 
 
-def pixels(figure: Figure) -> np.ndarray:
-    """RGB image ``(H, W, 3)`` uint8 of a figure."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+def _flatten(parts: list[np.ndarray]) -> list[np.ndarray]:
+    """Parts ``(N_i, Z)``, projected together, as ``(N_i, 2)``."""
+    rows = np.concatenate(parts)
+    # A principal component more than there are latent numbers can't be had.
+    start = "pca" if rows.shape[1] > 1 else "random"
+    flat = TSNE(perplexity=min(30.0, (len(rows) - 1) / 3), random_state=0, init=start).fit_transform(rows)
+    return np.split(flat, np.cumsum([len(part) for part in parts])[:-1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +22,23 @@ class Step(NamedTuple):
     """``(n,)`` bool: the task is solved in this state."""
     invalid: np.ndarray
     """``(n,)`` bool: the simulation diverged or the action was not finite; the episode is over."""
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """A domain from above, in the frame of :meth:`Simulator.shared_position`: the first axis down, the second right.
+
+    Args:
+        walls: Centres of the square blocks that walls are made of, ``(W, 2)``.
+        side: Side of a block.
+        goals: Where each task ends.
+        radius: Distance from its goal at which a task is solved.
+    """
+
+    walls: np.ndarray
+    side: float
+    goals: Mapping[str, tuple[float, float]]
+    radius: float
 
 
 class Simulator(ABC):
@@ -63,6 +80,10 @@ class Simulator(ABC):
             UserError: If nothing of the kind is known for this simulator.
         """
         raise UserError(f"{type(self).__name__} knows no position that domains share; choose another --score")
+
+    def floor_plan(self) -> FloorPlan | None:
+        """Walls and goals, for pictures; None if this domain can't be drawn from above."""
+        return None
 
     @abstractmethod
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from datamodules.errors import ConfigError
 from datamodules.types import DomainSpec, Observation, ObservationKey
-from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.base import FloorPlan, Simulator, Step
 from plp_lightning.envs.maze_layout import LAYOUTS, Frame
 from plp_lightning.envs.walker_model import Box
 
@@ -123,6 +123,11 @@ class Maze(Simulator):
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Where observed states ``(n, O)`` are: fractional row and column of the maze, ``(n, 2)``."""
         return self.frame.cells(self.states_in_maze(state)[:, :2])
+
+    def floor_plan(self) -> FloorPlan:
+        """The drawing of the maze in rows and columns, so that the same maze looks the same for all bodies."""
+        goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.tasks.items()}
+        return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
 
     @property
     @abstractmethod

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from datamodules.errors import ConfigError
@@ -30,6 +31,21 @@ class AlignmentScore(ABC):
         self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """Named scores, higher is better. Never reads the target task in the target domain."""
+
+    def correspondences(
+        self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
+    ) -> dict[str, Observation[Tensor]] | None:
+        """States of proxy tasks that correspond: of source and target domain, row i of both the same situation.
+
+        Args:
+            data: The demonstrations.
+            simulators: By domain.
+            count: How many pairs; fewer if there are not as many.
+
+        Returns:
+            Observations ``(P, …)`` of the source domain, then of the target domain; None if this score knows of none.
+        """
+        return None
 
 
 class ClosenessScore(AlignmentScore):
@@ -56,6 +72,17 @@ class ClosenessScore(AlignmentScore):
             positions.append(torch.from_numpy(place))
         return {"closeness": float(closeness(latents[0], latents[1], positions[0], positions[1]))}
 
+    def correspondences(
+        self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
+    ) -> dict[str, Observation[Tensor]]:
+        """Source states, each with a target state of its own so near that all gaps together are smallest."""
+        source, target = data.source_domain, data.target_domain
+        few, many = sample_states(data, source, count), sample_states(data, target, self.samples)
+        here, there = (simulators[d].shared_position(o.state.numpy()) for d, o in ((source, few), (target, many)))
+        gaps = np.linalg.norm(here[:, None] - there[None], axis=2)
+        rows, columns = (torch.from_numpy(found) for found in linear_sum_assignment(gaps))
+        return {source: few.take(rows), target: many.take(columns)}
+
 
 class PairAccuracy(AlignmentScore):
     """How often a state's true partner has the nearest latent (top-1), or one of the five nearest (paper, 5.3).
@@ -77,14 +104,24 @@ class PairAccuracy(AlignmentScore):
         Raises:
             ConfigError: If a domain is no point maze.
         """
+        pairs = self.correspondences(data, simulators, self.samples)
+        here, there = (encode(policy, domain, seen) for domain, seen in pairs.items())
+        return {f"top{k}": float(top_accuracy(here, there, k)) for k in (1, 5)}
+
+    def correspondences(
+        self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
+    ) -> dict[str, Observation[Tensor]]:
+        """Target states and, exactly, what the source domain shows of the same physics.
+
+        Raises:
+            ConfigError: If a domain is no point maze.
+        """
         source, target = simulators[data.source_domain], simulators[data.target_domain]
         if not isinstance(source, PointMaze) or not isinstance(target, PointMaze):
             raise ConfigError("score PairAccuracy is for two domains of PointMaze; expected ClosenessScore for others")
-        observation = sample_states(data, data.target_domain, self.samples)
-        partner = partners(observation.state.numpy(), target, source)
-        there = encode(policy, data.target_domain, observation)
-        here = encode(policy, data.source_domain, Observation(torch.from_numpy(partner)))
-        return {f"top{k}": float(top_accuracy(here, there, k)) for k in (1, 5)}
+        there = sample_states(data, data.target_domain, count)
+        here = Observation(torch.from_numpy(partners(there.state.numpy(), target, source)))
+        return {data.source_domain: here, data.target_domain: there}
 
 
 def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray:

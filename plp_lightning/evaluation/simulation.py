@@ -81,7 +81,22 @@ def evaluate(policy: Acting, simulator: Simulator, trial: Trial, episodes: int, 
 
 
 def evaluate_all(
-    policy: Acting, simulators: Mapping[str, Simulator], trials: Mapping[str, Trial], episodes: int, seed: int
+    policy: Acting,
+    simulators: Mapping[str, Simulator],
+    trials: Mapping[str, Trial],
+    episodes: int,
+    seed: int,
+    recorders: Mapping[str, Simulator] | None = None,
 ) -> dict[str, Success]:
-    """Outcome of every trial, by its name."""
-    return {name: evaluate(policy, simulators[t.domain], t, episodes, seed) for name, t in trials.items()}
+    """Outcome of every trial, by its name.
+
+    Args:
+        policy: Who acts.
+        simulators: By domain.
+        trials: By name.
+        episodes: Episodes of each trial.
+        seed: Seed of the run.
+        recorders: By trial: who stands in for its domain's simulator, to watch these episodes alone.
+    """
+    stages = {name: simulators[trial.domain] for name, trial in trials.items()} | dict(recorders or {})
+    return {name: evaluate(policy, stages[name], trial, episodes, seed) for name, trial in trials.items()}

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from datamodules.atomic import locked_folder, replacing
-from plp_lightning.evaluation.simulation import evaluate_all
 from plp_lightning.experiment import Experiment
 from plp_lightning.policy import PortablePolicy
 from plp_lightning.runs.fit import load_policy_weights
@@ -42,16 +41,13 @@ class Assessment:
         return policy.eval()
 
     def success(self, episodes: int | None, seed: int | None) -> dict[str, dict[str, Any]]:
-        """Outcome of every trial."""
-        count = self.experiment.evaluation.final_episodes if episodes is None else episodes
-        seed = self.experiment.seed if seed is None else seed
-        outcomes = evaluate_all(self.policy, self.experiment.simulators, self.experiment.trials, count, seed)
+        """Outcome of every trial; None stands for the experiment's own number and seed."""
+        outcomes = self.experiment.evaluate(self.policy, episodes, seed)
         return {name: outcome.to_dict() for name, outcome in outcomes.items()}
 
     def scores(self) -> dict[str, float]:
         """Alignment scores."""
-        score = self.experiment.score
-        return {} if score is None else score(self.policy, self.experiment.data, self.experiment.simulators)
+        return self.experiment.alignment(self.policy)
 
     def write(self, path: Path, record: dict[str, Any]) -> None:
         """Write a record as JSON, in one visible step."""

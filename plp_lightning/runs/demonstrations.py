@@ -19,12 +19,13 @@ def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
         TrajectoryFileError: If a value is not finite, or the demonstrations are not those that the run began with.
     """
     began = time.monotonic()
-    experiment.data.prepare_data()
-    spent = time.monotonic() - began
+    try:
+        experiment.data.prepare_data()
+    finally:
+        spent = run.status().get("collection_seconds", 0.0) + time.monotonic() - began
+        run.write_json("status.json", run.status() | {"collection_seconds": spent})
     check_finite(experiment.data)
-    status = run.status()
-    status["collection_seconds"] = status.get("collection_seconds", 0.0) + spent
-    run.write_json("status.json", status | {"data_sha256": _same_fingerprint(experiment.data, run)})
+    run.write_json("status.json", run.status() | {"data_sha256": _same_fingerprint(experiment.data, run)})
 
 
 def check_finite(data: TransferDataModule) -> None:

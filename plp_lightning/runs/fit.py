@@ -5,9 +5,9 @@ from __future__ import annotations
 import copy
 import hashlib
 import logging
-import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,12 @@ from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomStat
 from plp_lightning.callbacks.evaluation import SimulatorEvaluation
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
+from plp_lightning.callbacks.latent_picture import LatentPicture
+from plp_lightning.callbacks.picture import publish
 from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.callbacks.progress import PhaseProgress
-from plp_lightning.evaluation.simulation import evaluate_all
+from plp_lightning.evaluation.path_figure import Panel, path_figure
+from plp_lightning.evaluation.paths import path_recorders
 from plp_lightning.experiment import Experiment
 from plp_lightning.phases import Phase
 from plp_lightning.policy import PortablePolicy
@@ -32,6 +35,8 @@ from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.runs.results import log_hyperparameters, write_results
+from plp_lightning.runs.stopping import stoppable
+from plp_lightning.runs.stopwatch import Stopwatch
 
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
@@ -60,16 +65,22 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     """
     torch.set_num_threads(experiment.threads)
     run.update_status("running")
-    try:
+    with _failures_noted(run), stoppable():
         prepare_demonstrations(experiment, run)
         for name in phases:
             if run.phase_record(name).get("state") != "done":
                 run_phase(experiment, run, name, _weights_before(experiment, run, name, origin))
+        write_results(experiment, run, origin)
+        run.update_status("done")
+
+
+@contextmanager
+def _failures_noted(run: RunDirectory) -> Iterator[None]:
+    try:
+        yield
     except BaseException as error:
         run.update_status("preempted" if hasattr(error, "exit_code") else "failed")
         raise
-    write_results(experiment, run, origin)
-    run.update_status("done")
 
 
 def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None) -> None:
@@ -81,20 +92,21 @@ def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pat
         name: The phase.
         weights: Checkpoint of the phase before; None for the first.
     """
-    began, spent = time.monotonic(), run.phase_record(name).get("seconds", 0.0)
-    run.update_status("running", name, {"state": "running", "seconds": spent})
-    seed_everything(experiment.seed, workers=True, verbose=False)
-    policy = experiment.build_policy()
-    if weights is not None:
-        load_policy_weights(policy, weights)
-    phase = experiment.phases[name](policy)
-    last = run.checkpoint(name)
-    resumed_step = _step_of(last) if last.exists() else None
-    trainer = build_trainer(experiment, run, name, phase, resumed_step)
-    trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
-    record = {"state": "done", **assess(experiment, policy)}
-    log_hyperparameters(trainer, experiment, record)
-    run.update_status("running", name, record | {"seconds": spent + time.monotonic() - began})
+    stopwatch = Stopwatch(run, name)
+    run.update_status("running", name, {"state": "running"})
+    with stopwatch.running():
+        seed_everything(experiment.seed, workers=True, verbose=False)
+        policy = experiment.build_policy()
+        if weights is not None:
+            load_policy_weights(policy, weights)
+        phase = experiment.phases[name](policy)
+        last = run.checkpoint(name)
+        resumed_step = _step_of(last) if last.exists() else None
+        trainer = build_trainer(experiment, run, name, phase, resumed_step, [stopwatch])
+        trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
+        record = assess(experiment, policy, trainer)
+        log_hyperparameters(trainer, experiment, record)
+    run.update_status("running", name, record | {"state": "done"})
 
 
 def check_trainer(experiment: Experiment) -> None:
@@ -111,7 +123,12 @@ def check_trainer(experiment: Experiment) -> None:
 
 
 def build_trainer(
-    experiment: Experiment, run: RunDirectory, name: str, phase: Phase, resumed_step: int | None
+    experiment: Experiment,
+    run: RunDirectory,
+    name: str,
+    phase: Phase,
+    resumed_step: int | None,
+    further: Sequence[Callback] = (),
 ) -> Trainer:
     """Lightning's Trainer with what every phase of this project needs around its steps.
 
@@ -121,6 +138,7 @@ def build_trainer(
         name: The phase's name.
         phase: The phase.
         resumed_step: Step of the checkpoint that training goes on from; curves beyond it are dropped.
+        further: Callbacks beside the project's own and those of the configuration.
     """
     quiet_lightning()
     folder = run.phase(name)
@@ -135,7 +153,7 @@ def build_trainer(
             TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed_step),
             MetricsFile(folder),
         ],
-        callbacks=[*_own_callbacks(experiment, run, name), *copy.deepcopy(list(experiment.callbacks))],
+        callbacks=[*_own_callbacks(experiment, run, name), *further, *copy.deepcopy(list(experiment.callbacks))],
         plugins=[AtomicCheckpointIO()],
         enable_progress_bar=False,
     )
@@ -159,18 +177,27 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list
     ]
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
+    if plan.latent_states > 0:
+        settings = plan.latent_states, plan.latent_every_n_epochs, plan.latent_pairs
+        found.append(LatentPicture(*settings, experiment.score, simulators))
     folder, held_out = run.checkpoint(name).parent, experiment.data.held_out > 0
     return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(folder, held_out)]
 
 
-def assess(experiment: Experiment, policy: PortablePolicy) -> dict[str, Any]:
-    """Success in all trials and alignment scores of a policy, at the end of a phase."""
+def assess(experiment: Experiment, policy: PortablePolicy, trainer: Trainer) -> dict[str, Any]:
+    """Success in all trials and alignment scores at the end of a phase; the target task's paths become a picture."""
     policy.eval()
-    plan = experiment.evaluation
-    outcomes = evaluate_all(policy, experiment.simulators, experiment.trials, plan.final_episodes, experiment.seed)
-    score = experiment.score
-    scores = {} if score is None else score(policy, experiment.data, experiment.simulators)
-    return {"trials": {name: outcome.to_dict() for name, outcome in outcomes.items()}, "alignment": scores}
+    trials = {name: trial for name, trial in experiment.trials.items() if name in ("target", "source")}
+    recorders = path_recorders(experiment.simulators, trials)
+    outcomes = experiment.evaluate(policy, recorders=recorders)
+    panels = [
+        Panel(f"{experiment.data.target} in {name} domain: {trials[name].domain}", recorder.plan, recorder.paths)
+        for name, recorder in recorders.items()
+    ]
+    scores = experiment.alignment(policy)
+    if panels:
+        publish(trainer, "paths", path_figure(panels))
+    return {"trials": {name: found.to_dict() for name, found in outcomes.items()}, "alignment": scores}
 
 
 def load_policy_weights(policy: PortablePolicy, checkpoint: Path) -> None:

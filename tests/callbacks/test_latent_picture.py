@@ -8,9 +8,11 @@ import pytest
 import tiny
 from lightning.pytorch import Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
-from matplotlib.figure import Figure
+from matplotlib.collections import LineCollection, PathCollection
 
-from plp_lightning.callbacks.latent_picture import LatentPicture, latent_figure, pixels
+from plp_lightning.callbacks import latent_picture
+from plp_lightning.callbacks.latent_picture import LatentPicture, latent_figure
+from plp_lightning.evaluation.scores import AlignmentScore, ClosenessScore, encode
 from plp_lightning.phases import Alignment
 
 
@@ -24,12 +26,24 @@ def test_every_domain_has_its_points_and_its_colour() -> None:
     assert len(colours) == 2
 
 
-def test_pixels_are_the_picture() -> None:
-    figure = Figure(figsize=(2, 1), dpi=50, facecolor=(1, 0, 0))
-    image = pixels(figure)
-    assert image.shape == (50, 100, 3)
-    assert image.dtype == np.uint8
-    assert image[0, 0].tolist() == [255, 0, 0]
+def test_corresponding_states_are_joined_and_nothing_else() -> None:
+    rng = np.random.default_rng(0)
+    latents = {"flat": rng.normal(size=(12, 4)), "tall": rng.normal(5, 1, (9, 4)), "third": rng.normal(9, 1, (7, 4))}
+    pairs = {"third": latents["third"][:3], "flat": latents["flat"][[5, 1, 7]]}
+    (axes,) = latent_figure(latents, pairs).axes
+    (lines,) = (artist for artist in axes.collections if isinstance(artist, LineCollection))
+    dots = [np.asarray(artist.get_offsets()) for artist in axes.collections if isinstance(artist, PathCollection)]
+    assert [len(points) for points in dots] == [12, 9, 7, 3, 3]
+    np.testing.assert_array_equal(np.array(lines.get_segments()), np.stack(dots[3:], axis=1))
+    # A pair's ends wear the colours of their domains, and t-SNE puts equal states at about the same place.
+    colours = [tuple(artist.get_facecolor()[0][:3]) for artist in axes.collections if artist is not lines]
+    assert [colours[3], colours[4]] == [colours[2], colours[0]]
+    assert axes.get_legend().get_texts()[-1].get_text() == "3 pairs of corresponding states"
+
+
+def test_latents_of_one_number_can_be_drawn() -> None:
+    (axes,) = latent_figure({"flat": np.arange(9.0)[:, None], "tall": np.arange(8.0)[:, None]}).axes
+    assert [len(points.get_offsets()) for points in axes.collections] == [9, 8]
 
 
 @pytest.mark.parametrize(("every", "epochs"), [(0, [4]), (2, [2, 4]), (3, [3, 4])])
@@ -57,3 +71,36 @@ def test_the_picture_goes_to_tensorboard_and_beside_it(
     assert (tmp_path / "alignment" / "latents.png").read_bytes().startswith(b"\x89PNG")
     events = b"".join(file.read_bytes() for file in (tmp_path / "alignment").glob("events*"))
     assert b"latents" in events
+
+
+class Ignorant(AlignmentScore):
+    """Knows of no corresponding states."""
+
+    def __call__(self, policy: object, data: object, simulators: object) -> dict[str, float]:
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("score", "pairs", "expected"),
+    [(ClosenessScore(30), 4, 4), (ClosenessScore(30), 0, 0), (Ignorant(), 4, 0), (None, 4, 0)],
+)
+def test_the_score_says_which_states_are_joined(
+    trajectory_file: Path,
+    make_trainer: Callable[..., Trainer],
+    monkeypatch: pytest.MonkeyPatch,
+    score: AlignmentScore | None,
+    pairs: int,
+    expected: int,
+) -> None:
+    drawn: list[dict[str, np.ndarray]] = []
+    monkeypatch.setattr(latent_picture, "publish", lambda *words: None)
+    monkeypatch.setattr(latent_picture, "latent_figure", lambda latents, joined: drawn.append(joined))
+    simulators = {name: domain.simulator for name, domain in tiny.domains().items()}
+    data = tiny.data_module(trajectory_file, batch_size=1024)
+    phase = Alignment(tiny.policy(data), [])
+    picture = LatentPicture(10, 0, pairs, score, simulators)
+    make_trainer(picture, epochs=1).fit(phase, datamodule=data)
+    (joined,) = drawn
+    assert {domain: len(found) for domain, found in joined.items()} == ({"flat": 4, "tall": 4} if expected else {})
+    for domain, states in (ClosenessScore(30).correspondences(data, simulators, 4) if expected else {}).items():
+        np.testing.assert_array_equal(joined[domain], encode(phase.policy, domain, states).numpy())

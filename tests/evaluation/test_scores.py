@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,19 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
-from datamodules.types import Observation
+from datamodules.hdf5 import write_trajectories
+from datamodules.transfer import TransferDataModule
+from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.maze import PointMaze
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.evaluation.scores import ClosenessScore, PairAccuracy, encode, partners, sample_states
+from plp_lightning.evaluation.scores import (
+    AlignmentScore,
+    ClosenessScore,
+    PairAccuracy,
+    encode,
+    partners,
+    sample_states,
+)
 
 SIMULATORS = {name: domain.simulator for name, domain in tiny.domains().items()}
 
@@ -72,7 +82,62 @@ def test_partners_of_point_mazes_show_the_same_physics() -> None:
     assert partners(partners(state, plain, mirrored), mirrored, plain).tolist() == state.tolist()
 
 
+def point_data(path: Path) -> TransferDataModule:
+    """Made-up states of two point mazes, those of the target task in the target domain marked by 99."""
+    mazes, rng, made = POINTS, np.random.default_rng(0), []
+    tasks = ("s0_g_3_1", "s1_g_1_1")
+    for name in mazes:
+        for task, seed in itertools.product(tasks, range(3)):
+            states = rng.normal(size=(5, 4)).astype(np.float32)
+            states[task == tasks[1]] = 99
+            actions = np.zeros((5, 2), dtype=np.float32)
+            made.append(Trajectory(name, task, Observation(states), actions, seed, success=True))
+    write_trajectories(path, [maze.spec(name) for name, maze in mazes.items()], tasks, made, {"command": "tests"})
+    return TransferDataModule(path, tasks, tasks[:1], tasks[1:], list(mazes), *mazes, "goal_1_1", 3, 3)
+
+
+POINTS = {"mirrored": PointMaze("umaze", swap_axes=True, negate_actions=True), "point": PointMaze("umaze")}
+
+
+def test_pairs_of_point_mazes_correspond_exactly(tmp_path: Path) -> None:
+    data = point_data(tmp_path / "points.hdf5")
+    pairs = PairAccuracy(5).correspondences(data, POINTS, 7)
+    assert list(pairs) == ["mirrored", "point"]
+    assert pairs["mirrored"].state.shape == (7, 4)
+    assert torch.equal(pairs["mirrored"].state, pairs["point"].state[:, [1, 0, 3, 2]])
+    assert torch.equal(pairs["point"].state, sample_states(data, "point", 7).state)
+    assert not (pairs["point"].state == 99).any()
+
+
+def test_closest_states_correspond_one_to_one(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    pairs = ClosenessScore(9).correspondences(data, SIMULATORS, 4)
+    assert list(pairs) == ["flat", "tall"]
+    here, there = (SIMULATORS[domain].shared_position(seen.state.numpy()) for domain, seen in pairs.items())
+    many = SIMULATORS["tall"].shared_position(sample_states(data, "tall", 9).state.numpy())
+    gaps = np.linalg.norm(here[:, None] - many[None], axis=2)
+    least = min(gaps[range(4), list(chosen)].sum() for chosen in itertools.permutations(range(9), 4))
+    assert np.linalg.norm(here - there, axis=1).sum() == pytest.approx(least)
+    assert len(np.unique(there, axis=0)) == 4
+    assert torch.equal(pairs["flat"].state, sample_states(data, "flat", 4).state)
+
+
+def test_there_are_no_more_pairs_than_states(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    assert {len(seen.state) for seen in ClosenessScore(3).correspondences(data, SIMULATORS, 8).values()} == {3}
+
+
+def test_a_score_of_ones_own_need_not_know_correspondences(trajectory_file: Path) -> None:
+    class Constant(AlignmentScore):
+        def __call__(self, policy: object, data: object, simulators: object) -> dict[str, float]:
+            return {"constant": 1.0}
+
+    assert Constant().correspondences(tiny.data_module(trajectory_file), SIMULATORS, 4) is None
+
+
 def test_true_pairs_are_known_for_point_mazes_alone(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     with pytest.raises(ConfigError, match="PairAccuracy is for two domains of PointMaze"):
         PairAccuracy(50)(Oracle(blind=False), data, SIMULATORS)
+    with pytest.raises(ConfigError, match="expected ClosenessScore for others"):
+        PairAccuracy(50).correspondences(data, SIMULATORS, 20)

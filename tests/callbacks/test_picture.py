@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from lightning.pytorch import Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from plp_lightning.callbacks.picture import DPI, pixels, publish
+
+
+def test_pixels_are_the_picture() -> None:
+    figure = Figure(figsize=(2, 1), dpi=50, facecolor=(1, 0, 0))
+    image = pixels(figure)
+    assert image.shape == (50, 100, 3)
+    assert image.dtype == np.uint8
+    assert image[0, 0].tolist() == [255, 0, 0]
+
+
+def test_a_figure_goes_to_tensorboard_and_beside_it_in_place_of_the_older_one(
+    tmp_path: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    logger = TensorBoardLogger(tmp_path, name="alignment", version="")
+    folder = Path(logger.log_dir)
+    folder.mkdir()
+    (folder / "paths.png").write_bytes(b"old")
+    publish(make_trainer(logger=logger), "paths", Figure(figsize=(2, 1), facecolor=(0, 0, 1)))
+    logger.experiment.flush()
+    image = imread(folder / "paths.png")
+    assert image.shape[:2] == (DPI, 2 * DPI)
+    assert image[0, 0, :3].tolist() == [0, 0, 1]
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    (shown,) = events.Images("paths")
+    assert (shown.height, shown.width) == (DPI, 2 * DPI)
+    assert {file.suffix for file in folder.iterdir()} == {".png", ".0"}
+
+
+def test_without_tensorboard_nothing_is_drawn(tmp_path: Path, make_trainer: Callable[..., Trainer]) -> None:
+    publish(make_trainer(), "paths", Figure())
+    assert not list(tmp_path.iterdir())
