@@ -157,9 +157,8 @@ class Tabletop(Simulator):
     def _check(self, task: str) -> None:
         if task not in self.tasks:
             near = get_close_matches(task, self.tasks, n=1, cutoff=0.0)[0]
-            raise ConfigError(
-                f"no task {task!r} in {self._family}; expected one of: {', '.join(self.tasks)}; {near!r}?"
-            )
+            known = ", ".join(self.tasks)
+            raise ConfigError(f"no task {task!r} in {self._family}; expected one of: {known}; did you mean {near!r}?")
 
 
 class Reach(Tabletop):
