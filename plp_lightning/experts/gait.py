@@ -12,6 +12,8 @@ from safetensors.numpy import load_file
 from datamodules.errors import CheckpointError
 
 WEIGHTS = Path(__file__).parent / "weights"
+TRAIN = "plp collect --config FILE --train_expert DOMAIN --weights FILE"
+"""How users train a gait."""
 VELOCITY_LIMIT = 10.0
 """Velocities beyond this (m/s, rad/s) look the same to the gait."""
 
@@ -116,15 +118,13 @@ class Gait:
 
     @classmethod
     def load(cls, path: Path) -> Gait:
-        """Read a gait that ``plp_lightning.experts.train_walker`` wrote.
+        """Read a gait that ``plp collect --train_expert`` wrote.
 
         Raises:
             CheckpointError: If there is no such file or it holds no gait.
         """
         if not path.is_file():
-            raise CheckpointError(
-                f"no gait at {path}; train one with: python -m plp_lightning.experts.train_walker --help"
-            )
+            raise CheckpointError(f"no gait at {path}; name another file or train one with: {TRAIN}")
         arrays = load_file(path)
         count = sum(name.endswith(".weight") for name in arrays)
         try:

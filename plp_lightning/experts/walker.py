@@ -11,7 +11,7 @@ from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze import WalkerMaze
-from plp_lightning.experts.gait import Gait, gait_path
+from plp_lightning.experts.gait import TRAIN, Gait, gait_path
 from plp_lightning.experts.waypoint import Guide
 
 
@@ -19,8 +19,8 @@ class WalkerExpert(Expert):
     """A PPO gait told at every step which way to go; neither it nor its guide remembers anything.
 
     Args:
-        weights: The gait, from ``python -m plp_lightning.experts.train_walker``; the one that comes with this
-            package for the body by default.
+        weights: The gait, a file that ``plp collect --train_expert`` wrote; the one that comes with this package
+            for the body by default.
         width: See :class:`plp_lightning.experts.waypoint.Guide`.
     """
 
@@ -45,7 +45,7 @@ class WalkerExpert(Expert):
         if self._gait.legs != simulator.legs:
             raise ConfigError(
                 f"the gait {path} moves {self._gait.legs} legs, this walker has {simulator.legs}; "
-                f"train one with: python -m plp_lightning.experts.train_walker --legs {simulator.legs}"
+                f"name another file or train one with: {TRAIN}"
             )
         self._guide = Guide(self._maze, tasks, self._width)
 

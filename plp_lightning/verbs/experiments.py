@@ -19,7 +19,11 @@ from plp_lightning.runs.fit import check_trainer, fit
 from plp_lightning.runs.results import print_results, print_success
 from plp_lightning.verbs.config import build_parser, option_values, parse, phase_names
 from plp_lightning.verbs.options import OptionParser, positive
+from plp_lightning.verbs.training import train_expert
 from plp_lightning.versions import versions
+
+EXPERT_STEPS = 3_000_000
+"""Enough for a gait that falls over in few episodes; a quarter of an hour on one core."""
 
 
 def run_fit(arguments: Sequence[str]) -> None:
@@ -96,8 +100,16 @@ def _check_origin(experiment: Experiment, path: Path) -> None:
 
 
 def run_collect(arguments: Sequence[str]) -> None:
-    """``plp collect``: the demonstrations that an experiment lacks, nothing else."""
-    experiment = parse(arguments)
+    """``plp collect``: the demonstrations that an experiment lacks, or the training of who demonstrates."""
+    if _asks_for_help(arguments):
+        _collect_options().print_help()
+        build_parser(phase_names(arguments)).print_help()
+        return
+    options, rest = _collect_options().parse_known_args(list(arguments))
+    experiment = parse(rest)
+    if options.train_expert or options.weights or options.steps:
+        _train_expert(experiment, options)
+        return
     missing = sum(sum(tasks.values()) for tasks in experiment.data.missing().values())
     experiment.data.prepare_data()
     print(
@@ -105,6 +117,13 @@ def run_collect(arguments: Sequence[str]) -> None:
         if missing
         else f"{experiment.data.path}: complete"
     )
+
+
+def _train_expert(experiment: Experiment, options: argparse.Namespace) -> None:
+    if options.train_expert is None or options.weights is None:
+        lacks = "--weights FILE" if options.train_expert else "--train_expert DOMAIN"
+        raise ConfigError(f"training an expert lacks {lacks}; give both --train_expert DOMAIN and --weights FILE")
+    train_expert(experiment, options.train_expert, options.weights, options.steps or EXPERT_STEPS)
 
 
 def run_test(arguments: Sequence[str]) -> None:
@@ -177,6 +196,17 @@ def _fit_options() -> OptionParser:
     parser.add_argument("--phase", help="run this phase alone")
     parser.add_argument("--from", dest="origin", metavar="RUN_DIR", help="run whose earlier phases --phase builds on")
     parser.add_argument("--print_config", action="store_true", help="print the resolved configuration and stop")
+    return parser
+
+
+def _collect_options() -> OptionParser:
+    description = "Collect the demonstrations that an experiment lacks, or train the expert who demonstrates."
+    parser = OptionParser("plp collect", description=description, add_help=False, allow_abbrev=False)
+    parser.add_argument(
+        "--train_expert", "--train-expert", metavar="DOMAIN", help="train this walker's expert instead of collecting"
+    )
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="where to write it, a .safetensors file")
+    parser.add_argument("--steps", type=positive, help=f"control steps to train for; {EXPERT_STEPS} if not given")
     return parser
 
 
