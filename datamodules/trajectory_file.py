@@ -154,16 +154,48 @@ class TrajectoryFile:
             TrajectoryFileError: If the file turns out to be damaged.
         """
         spec, table = self.spec(domain), self.episodes(domain)
-        chosen = self._chosen(domain, episodes)
-        starts, lengths = table.offset[chosen], np.diff(table.offset)[chosen]
-        offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        rows = np.repeat(starts - offset[:-1], lengths) + np.arange(offset[-1])
+        chosen, rows = self._chosen(domain, episodes), self.rows(domain, episodes)
+        offset = np.concatenate([[0], np.cumsum(np.diff(table.offset)[chosen])]).astype(np.int64)
         group = f"/domains/{domain}"
         columns = [self._gather(f"{group}/obs/{key.name}", rows) for key in spec.state_keys]
         state = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
-        key = spec.image_key if images else None
-        image = None if key is None else self._stream(f"{group}/obs/{key.name}", rows)
+        image = self.images(domain, episodes) if images and spec.image_key else None
         return DomainArrays(state, image, self._gather(f"{group}/actions", rows), offset, table.task[chosen])
+
+    def rows(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """``(N,)`` int64: where the steps of episodes are in the domain's arrays, end to end.
+
+        Raises:
+            UserError: If the file has no such domain or episode.
+        """
+        offset, chosen = self.episodes(domain).offset, self._chosen(domain, episodes)
+        lengths = np.diff(offset)[chosen]
+        starts = offset[chosen] - np.cumsum(lengths) + lengths
+        return np.repeat(starts, lengths) + np.arange(lengths.sum())
+
+    def images(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """Images of episodes ``(N, H, W, C)`` uint8, end to end.
+
+        Raises:
+            UserError: If the file has no such domain or episode, or the domain has no camera.
+            TrajectoryFileError: If the file turns out to be damaged.
+        """
+        return self._stream(self._camera(domain), self.rows(domain, episodes))
+
+    def image_range(self, domain: str, start: int, stop: int) -> np.ndarray:
+        """Images of the steps ``start`` to ``stop`` (or the last) of a domain's arrays, ``(n, H, W, C)`` uint8.
+
+        Raises:
+            UserError: If the domain has no camera.
+            TrajectoryFileError: If the file turns out to be damaged.
+        """
+        last = int(self.episodes(domain).offset[-1])
+        return self._stream(self._camera(domain), np.arange(start, min(stop, last)))
+
+    def image_block(self, domain: str) -> int:
+        """Images that are compressed together, and so cost no more to read than one of them."""
+        chunks = self._array(self._camera(domain)).chunks
+        return 1 if chunks is None else int(chunks[0])
 
     def trajectory(self, domain: str, episode: int) -> Trajectory:
         """Read one demonstration.
@@ -180,6 +212,12 @@ class TrajectoryFile:
         """Paths of the arrays whose values differ from what the writer stored; reads the whole file."""
         paths = [place for spec in self.domains for place in array_paths(spec)]
         return [place for place in paths if self.hashes.get(place) != self._stored_digest(place)]
+
+    def _camera(self, domain: str) -> str:
+        key = self.spec(domain).image_key
+        if key is None:
+            raise UserError(f"{self.path}: domain {domain!r} has no camera; ask for its state alone")
+        return f"/domains/{domain}/obs/{key.name}"
 
     def _stored_digest(self, place: str) -> str:
         try:

@@ -15,6 +15,7 @@ from lightning.pytorch import LightningDataModule
 
 from datamodules.errors import MissingTrajectoriesError
 from datamodules.hdf5 import TrajectoryFile
+from datamodules.images import Images, stored_images
 from datamodules.loader import FixedBatches, Loader, PairSource
 from datamodules.normalization import Statistics
 from datamodules.sampler import AlignmentOrder, MixOrder, PairOrder, generator
@@ -50,6 +51,8 @@ class TransferDataModule(LightningDataModule):
         stride: One of so many frames of a paired trajectory is kept.
         mix: Alignment steps for each target step in adaptation, drawn anew each epoch.
         seed: Seed of every draw.
+        image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches
+            ask for them, and as much of them is kept. The batches are the same.
         collector: Makes missing demonstrations; None if they can only come from the file.
     """
 
@@ -71,6 +74,7 @@ class TransferDataModule(LightningDataModule):
         stride: int = 16,
         mix: float = 2.0,
         seed: int = 0,
+        image_memory: float = 4.0,
         collector: Collector | None = None,
     ) -> None:
         super().__init__()
@@ -79,7 +83,7 @@ class TransferDataModule(LightningDataModule):
         self.source_domain, self.target_domain = source_domain, target_domain
         self.trajectories, self.target_trajectories = trajectories, target_trajectories
         self.held_out, self.batch_size, self.pairs, self.stride = held_out, batch_size, pairs, stride
-        self.mix, self.seed, self.collector = mix, seed, collector
+        self.mix, self.seed, self.image_memory, self.collector = mix, seed, image_memory, collector
         self._loader: Loader | None = None
         self._cursor: Mapping[str, int] | None = None
 
@@ -128,16 +132,20 @@ class TransferDataModule(LightningDataModule):
     def tables(self) -> dict[str, Table]:
         """By domain: the trajectories that this run may see, read once."""
         with TrajectoryFile.open(self.path) as file:
-            return {domain: self._read(file, domain) for domain in self.domains}
+            chosen = {domain: self._chosen(file, domain) for domain in self.domains}
+            images = stored_images(file, chosen, self.image_memory)
+            return {domain: self._read(file, domain, chosen[domain], images.get(domain)) for domain in self.domains}
 
-    def _read(self, file: TrajectoryFile, domain: str) -> Table:
-        table = file.episodes(domain)
-        chosen = np.concatenate([np.flatnonzero(table.task == task)[:n] for task, n in self.demand()[domain].items()])
-        arrays = file.read(domain, np.sort(chosen))
+    def _chosen(self, file: TrajectoryFile, domain: str) -> np.ndarray:
+        task = file.episodes(domain).task
+        return np.sort(np.concatenate([np.flatnonzero(task == k)[:n] for k, n in self.demand()[domain].items()]))
+
+    def _read(self, file: TrajectoryFile, domain: str, chosen: np.ndarray, image: Images | None) -> Table:
+        arrays = file.read(domain, chosen, images=False)
         index = {name: i for i, name in enumerate(self.tasks)}
         episode_task = np.array([index[name] for name in arrays.task])
         spec = next(spec for spec in file.domains if spec.name == domain)
-        return build_table(spec, arrays.state, arrays.image, arrays.actions, arrays.offset, episode_task)
+        return build_table(spec, arrays.state, image, arrays.actions, arrays.offset, episode_task)
 
     @property
     def specs(self) -> list[DomainSpec]:
@@ -149,9 +157,8 @@ class TransferDataModule(LightningDataModule):
         """SHA-256 of everything that this run trains on."""
         digest = hashlib.sha256()
         for table in self.tables.values():
-            images = [] if table.observation.image is None else [table.observation.image]
-            for tensor in (table.observation.state, table.action, table.task, *images):
-                digest.update(np.ascontiguousarray(tensor.numpy()).data)
+            for piece in table.pieces():
+                digest.update(np.ascontiguousarray(piece.numpy()).data)
         return digest.hexdigest()
 
     def episodes(self, domain: str, tasks: Sequence[str], part: Part) -> np.ndarray:
@@ -174,8 +181,9 @@ class TransferDataModule(LightningDataModule):
 
     # -- batches -----------------------------------------------------------------------------------
 
-    def loader(self, demand: Demand) -> Loader:
-        """Training batches of a phase."""
+    def loader(self, demand: Demand, images: bool = True) -> Loader:
+        """Training batches of a phase; without ``images`` for one that doesn't look at any."""
+        tables = self._tables(images)
         if demand == "mix":
             order = MixOrder(
                 self.rows(self.target_tasks, "train"),
@@ -184,9 +192,12 @@ class TransferDataModule(LightningDataModule):
                 self.batch_size,
                 self.seed,
             )
-            return Loader(self.tables, order)
-        pairs = PairSource(self.tables, self._pair_order(), self.stride) if demand == "pairs" else None
-        return Loader(self.tables, AlignmentOrder(self.rows(self.proxies, "train"), self.batch_size, self.seed), pairs)
+            return Loader(tables, order)
+        pairs = PairSource(tables, self._pair_order(), self.stride) if demand == "pairs" else None
+        return Loader(tables, AlignmentOrder(self.rows(self.proxies, "train"), self.batch_size, self.seed), pairs)
+
+    def _tables(self, images: bool) -> dict[str, Table]:
+        return {domain: table if images else table.without_images() for domain, table in self.tables.items()}
 
     def _pair_order(self) -> PairOrder:
         return PairOrder({domain: self.episodes_by_task(domain) for domain in self.domains}, self.pairs, self.seed)
@@ -199,7 +210,7 @@ class TransferDataModule(LightningDataModule):
 
     def train_dataloader(self) -> Loader:
         """Batches for the phase that the trainer runs, from where a resumed run stopped."""
-        self._loader = self.loader(self._phase_demand())
+        self._loader = self.loader(self._phase_demand(), self._phase_looks())
         if self._cursor is not None:
             self._loader.load_state_dict(self._cursor)
             self._cursor = None
@@ -208,7 +219,9 @@ class TransferDataModule(LightningDataModule):
     def val_dataloader(self) -> FixedBatches:
         """Held-out trajectories of what the phase trains on."""
         tasks = self.target_tasks if self._phase_demand() == "mix" else self.proxies
-        return FixedBatches(self.tables, self.rows(tasks, "held_out"), 1024)
+        tables = self._tables(self._phase_looks())
+        size = min(table.rows_at_a_time(1024) for table in tables.values())
+        return FixedBatches(tables, self.rows(tasks, "held_out"), size)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         """Walk through a batch only if there is somewhere to move it."""
@@ -221,6 +234,9 @@ class TransferDataModule(LightningDataModule):
         if self.trainer is None:
             return "proxies"
         return cast("Demand", self.trainer.lightning_module.demand)
+
+    def _phase_looks(self) -> bool:
+        return self.trainer is None or cast("bool", self.trainer.lightning_module.uses_images)
 
     @property
     def parts(self) -> tuple[Part, ...]:

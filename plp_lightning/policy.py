@@ -1,7 +1,8 @@
 """STATE ENCODER → COMMON POLICY → ACTION DECODER: the paper's figure in one screen.
 
 Domains of any number and size share one network: states and actions are padded to the largest domain,
-here and nowhere else, and a one-hot domain id goes into the encoder and the decoder.
+here and nowhere else, and a one-hot domain id goes into the encoder and the decoder. A camera's image becomes
+a vector that joins the state; a domain without a camera has zeros there.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from torch import Tensor, nn
 from datamodules.errors import ConfigError
 from datamodules.normalization import Scaling, Statistics
 from datamodules.types import DomainSpec, Observation
-from plp_lightning.networks import ActionDecoder, CommonPolicy, StateEncoder
+from plp_lightning.networks import ActionDecoder, CommonPolicy, ImageEncoder, StateEncoder
 from plp_lightning.scaling import InputScaler
 
 Parts = Mapping[str, Tensor]
@@ -49,6 +50,12 @@ class PortablePolicy(nn.Module):
         decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
         clip: Bound of z-scored inputs, in deviations.
+        image_channels: Of each convolution of the image encoder, which halves the image's sides; without any, the
+            policy is blind: it leaves images aside.
+        image_features: Length of the vector that an image becomes.
+
+    Raises:
+        ConfigError: If a size is wrong, or the domains' images differ in shape.
     """
 
     def __init__(
@@ -65,6 +72,8 @@ class PortablePolicy(nn.Module):
         decoder_state: Literal["none", "all"] | list[str] = "none",
         scaling: dict[str, Scaling] | None = None,
         clip: float = 5.0,
+        image_channels: Sequence[int] = (64, 64, 128, 128, 128),
+        image_features: int = 1024,
     ) -> None:
         super().__init__()
         self.domains = {spec.name: spec for spec in domains}
@@ -80,20 +89,31 @@ class PortablePolicy(nn.Module):
             "decoder_state": decoder_state,
             "scaling": scaling,
             "clip": clip,
+            "image_channels": list(image_channels),
+            "image_features": image_features,
         }
+        self.image_shape = _image_shape(domains) if image_channels else None
+        self.image_features = 0 if self.image_shape is None else image_features
         self.state_size = max(spec.state_size for spec in domains)
         self.scaler = InputScaler(domains, statistics, scaling or {}, clip)
         self.context_columns = {spec.name: _context_columns(spec, decoder_state) for spec in domains}
         context = max(len(columns) for columns in self.context_columns.values()) + len(domains)
         actions = max(spec.action_size for spec in domains)
-        self.encoder = StateEncoder(self.state_size + len(domains), latent, hidden, encoder_layers)
+        inputs = self.state_size + len(domains) + self.image_features
+        self.encoder = StateEncoder(inputs, latent, hidden, encoder_layers)
         self.common = CommonPolicy(latent, len(tasks), hidden, policy_layers)
         self.decoder = ActionDecoder(latent, context, actions, hidden, decoder_layers, gradient_floor)
+        self.image_encoder = (
+            None if self.image_shape is None else ImageEncoder(self.image_shape, image_channels, image_features)
+        )
 
     def encode(self, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
         states = [self._pad(self.scaler(obs.state, d), d, self.state_size) for d, obs in observation.items()]
-        return _split(self.encoder(torch.cat(states)), observation)
+        inputs = torch.cat(states)
+        if self.image_encoder is not None:
+            inputs = torch.cat([inputs, self._see(self.image_encoder, observation)], dim=1)
+        return _split(self.encoder(inputs), observation)
 
     def decode(self, plan: Parts, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
@@ -123,6 +143,18 @@ class PortablePolicy(nn.Module):
         actions: np.ndarray = self(seen, {domain: ids}).action[domain].cpu().numpy()
         return actions
 
+    def _see(self, encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]]) -> Tensor:
+        """Features ``(B, F)`` of all domains' images in one pass; zeros where there is no camera."""
+        images = {domain: obs.image for domain, obs in observation.items() if obs.image is not None}
+        cameras = [domain for domain in observation if self.domains[domain].image_key is not None]
+        assert cameras == [*images], f"images of {[*images]}, but cameras in {cameras}"
+        blank = {d: obs.state.new_zeros(len(obs.state), self.image_features) for d, obs in observation.items()}
+        if not images:
+            return torch.cat([*blank.values()])
+        sizes = [len(image) for image in images.values()]
+        features = encoder(torch.cat([*images.values()]))
+        return torch.cat([*(blank | dict(zip(images, features.split(sizes), strict=True))).values()])
+
     def _context(self, observation: Observation[Tensor], domain: str) -> Tensor:
         columns = self.context_columns[domain]
         if not columns:
@@ -151,3 +183,11 @@ def _context_columns(spec: DomainSpec, decoder_state: Literal["none", "all"] | l
     if isinstance(decoder_state, str):
         raise ConfigError(f"decoder_state is {decoder_state!r}; expected 'none', 'all' or a list of observation keys")
     return spec.columns(decoder_state)
+
+
+def _image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
+    """Height, width and colours of the images, or None if no domain has a camera."""
+    shapes = {spec.name: spec.image_key.shape for spec in domains if spec.image_key is not None}
+    if len(set(shapes.values())) > 1:
+        raise ConfigError(f"image shapes are {shapes}; expected one shape for all domains: set one image size")
+    return next(((h, w, c) for h, w, c in shapes.values()), None)

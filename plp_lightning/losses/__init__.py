@@ -3,6 +3,7 @@
 from plp_lightning.losses.adversarial import confusion, discrimination
 from plp_lightning.losses.bc import behavioural_cloning
 from plp_lightning.losses.mmd import mmd
+from plp_lightning.losses.reconstruction import reconstruction
 from plp_lightning.losses.tcc import tcc
 
-__all__ = ["behavioural_cloning", "confusion", "discrimination", "mmd", "tcc"]
+__all__ = ["behavioural_cloning", "confusion", "discrimination", "mmd", "reconstruction", "tcc"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import torch
 from torch import Tensor, nn
 
 from datamodules.transfer import Demand
-from datamodules.types import Batch, Observation
+from datamodules.types import Batch, Observation, Transitions
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.phases.base import Phase
 from plp_lightning.policy import PortablePolicy
@@ -18,7 +18,7 @@ class Adaptation(Phase):
     """Behavioural cloning of the target task with encoder and decoder frozen (paper, Eq. 6, Algorithm 2).
 
     The encoder never changes here, so the latent state of every step is computed once, when the phase
-    begins, and looked up by row from then on.
+    begins, and looked up by row from then on; no image is read again.
 
     Args:
         policy: The aligned policy.
@@ -28,6 +28,7 @@ class Adaptation(Phase):
     """
 
     demand: Demand = "mix"
+    uses_images = False
 
     def __init__(self, policy: PortablePolicy, epochs: int = 50, lr: float = 1e-4, weight_decay: float = 0.0) -> None:
         super().__init__(policy, epochs, lr, weight_decay)
@@ -36,30 +37,43 @@ class Adaptation(Phase):
     @property
     def frozen(self) -> dict[str, nn.Module]:
         """Everything but the common policy."""
-        return {"scaler": self.policy.scaler, "encoder": self.policy.encoder, "decoder": self.policy.decoder}
+        policy = self.policy
+        eyes = {} if policy.image_encoder is None else {"image_encoder": policy.image_encoder}
+        return {"scaler": policy.scaler, "encoder": policy.encoder, "decoder": policy.decoder, **eyes}
 
     def trained_parameters(self) -> Iterable[nn.Parameter]:
         """The common policy's."""
         return self.policy.common.parameters()
 
-    @torch.no_grad()
     def on_fit_start(self) -> None:
-        """Encode every step of every domain, in chunks that fit."""
+        """Encode every step of every domain."""
+        self._encode_all()
+
+    def on_validation_start(self) -> None:
+        """The same, if there was no training before."""
+        if not self.latents:
+            self._encode_all()
+
+    @torch.no_grad()
+    def _encode_all(self) -> None:
         for domain, table in self.trainer.datamodule.tables.items():  # type: ignore[attr-defined]
-            chunks = torch.arange(len(table)).split(8192)
+            chunks = torch.arange(len(table)).split(table.rows_at_a_time(8192))
             parts = [self._encode(domain, table.take(rows).observation) for rows in chunks]
             self.latents[domain] = torch.cat(parts)
 
     def _encode(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         return self.policy.encode({domain: observation.map(lambda x: x.to(self.device))})[domain]
 
+    def predict(self, transitions: Mapping[str, Transitions]) -> dict[str, Tensor]:
+        """The policy's actions, from the latent states that are known already."""
+        latent = {domain: self.latents[domain][steps.row] for domain, steps in transitions.items()}
+        plan = self.policy.plan(latent, {domain: steps.task for domain, steps in transitions.items()})
+        return self.policy.decode(plan, {domain: steps.observation for domain, steps in transitions.items()})
+
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Behavioural cloning on the target task and the mixed-in alignment data."""
         steps = batch.transitions
-        latent = {domain: self.latents[domain][s.row] for domain, s in steps.items()}
-        plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
-        action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
-        loss = behavioural_cloning(action, {domain: s.action for domain, s in steps.items()})
+        loss = behavioural_cloning(self.predict(steps), {domain: s.action for domain, s in steps.items()})
         if self.logs_now:
             self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
         return loss

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from datamodules.transfer import Demand
 from datamodules.types import Batch, Observation, Sequences
-from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, tcc
-from plp_lightning.networks import DomainDiscriminator
+from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, reconstruction, tcc
+from plp_lightning.networks import DomainDiscriminator, ImageDecoder
 from plp_lightning.phases.base import Phase
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.policy import Parts, PortablePolicy
 
 Term = Literal["mmd", "tcc", "adversarial"]
 
@@ -22,7 +22,9 @@ class Alignment(Phase):
     """Multi-domain behavioural cloning plus terms that align the latent states.
 
     L_align = L_BC + λ_MMD L_MMD + λ_TCC L_TCC (paper, Eq. 5), or with a domain discriminator in place of
-    MMD. The experiment sets the weights, the method chooses the terms.
+    MMD. The experiment sets the weights, the method chooses the terms. Where domains have cameras, an image
+    decoder learns along, whatever the method: latent states must keep what there was to see, so that a task to
+    come finds it there. It is of no use after this phase and no part of the policy.
 
     Args:
         policy: The policy to train.
@@ -30,6 +32,7 @@ class Alignment(Phase):
         mmd_weight: λ_MMD.
         tcc_weight: λ_TCC.
         adversarial_weight: Weight of the encoder's loss against the discriminator.
+        reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
         tcc_similarity: First softmax of TCC: distances as printed in the paper, squared, or squared and scaled.
         discriminator_layers: Hidden layers of the discriminator.
         discriminator_hidden: Units in its hidden layers.
@@ -45,6 +48,7 @@ class Alignment(Phase):
         mmd_weight: float = 0.1,
         tcc_weight: float = 0.2,
         adversarial_weight: float = 0.1,
+        reconstruction_weight: float = 1.0,
         tcc_similarity: Literal["distance", "squared", "scaled"] = "distance",
         discriminator_layers: int = 4,
         discriminator_hidden: int = 192,
@@ -53,7 +57,12 @@ class Alignment(Phase):
         weight_decay: float = 0.0,
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay)
-        self.weights: dict[str, float] = {"mmd": mmd_weight, "tcc": tcc_weight, "adversarial": adversarial_weight}
+        self.weights: dict[str, float] = {
+            "mmd": mmd_weight,
+            "tcc": tcc_weight,
+            "adversarial": adversarial_weight,
+            "reconstruction": reconstruction_weight,
+        }
         self.terms, self.tcc_similarity = tuple(terms), tcc_similarity
         self.demand: Demand = "pairs" if "tcc" in terms else "proxies"
         self.discriminator = (
@@ -61,6 +70,7 @@ class Alignment(Phase):
             if "adversarial" in terms
             else None
         )
+        self.image_decoder = _image_decoder(policy) if reconstruction_weight > 0 else None
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Total loss of one batch, from a single pass through the encoder."""
@@ -71,6 +81,9 @@ class Alignment(Phase):
         action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
         parts = {"bc": behavioural_cloning(action, {domain: s.action for domain, s in steps.items()})}
         parts |= self._alignment_terms(list(latent.values()))
+        if self.image_decoder is not None:
+            images = {domain: s.observation.image for domain, s in steps.items() if s.observation.image is not None}
+            parts["reconstruction"] = reconstruction(self.reconstruct({d: latent[d] for d in images}), images)
         if pairs:
             parts["tcc"] = self._tcc([(encoded[d][len(steps[d].action) :], s) for d, s in pairs.items()])
         total = torch.stack([self.weights.get(name, 1.0) * value for name, value in parts.items()]).sum()
@@ -78,6 +91,14 @@ class Alignment(Phase):
             spread = torch.cat(list(latent.values())).detach().std(dim=0).mean()
             self.log_parts(parts | {"loss": total, "latent_std": spread}, self._size(batch))
         return total
+
+    def reconstruct(self, latent: Parts) -> dict[str, Tensor]:
+        """What the cameras saw, as far as latent states ``(B_d, Z)`` tell: ``(B_d, H, W, C)`` in (0, 1), by domain."""
+        assert self.image_decoder is not None, "expected a policy that sees and a weight above 0"
+        joined, sizes = torch.cat([*latent.values()]), [len(part) for part in latent.values()]
+        numbers = [list(self.policy.domains).index(domain) for domain in latent]
+        domain = torch.repeat_interleave(torch.tensor(numbers), torch.tensor(sizes)).to(joined.device)
+        return dict(zip(latent, self.image_decoder(joined, domain).split(sizes), strict=True))
 
     def _alignment_terms(self, latents: list[Tensor]) -> dict[str, Tensor]:
         """Terms that compare the domains' latent distributions."""
@@ -97,6 +118,14 @@ class Alignment(Phase):
     @staticmethod
     def _size(batch: Batch) -> int:
         return sum(len(steps.action) for steps in batch.transitions.values())
+
+
+def _image_decoder(policy: PortablePolicy) -> ImageDecoder | None:
+    """A decoder that mirrors the policy's image encoder; None if the policy does not see."""
+    if policy.image_shape is None:
+        return None
+    channels = policy.architecture["image_channels"]
+    return ImageDecoder(policy.latent_size, len(policy.domains), policy.image_shape, channels)
 
 
 def _with_frames(observation: Observation[Tensor], frames: Sequences | None) -> Observation[Tensor]:

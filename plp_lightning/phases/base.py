@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
@@ -10,9 +10,9 @@ from lightning.pytorch import LightningModule
 from torch import Tensor, nn
 
 from datamodules.transfer import Demand
-from datamodules.types import Batch
+from datamodules.types import Batch, Transitions
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.policy import Forward, PortablePolicy
 
 
 class Phase(LightningModule):
@@ -27,6 +27,8 @@ class Phase(LightningModule):
 
     demand: Demand = "proxies"
     """Which batches the DataModule shall give."""
+    uses_images = True
+    """Whether its batches shall bring images, where there are cameras."""
 
     def __init__(self, policy: PortablePolicy, epochs: int, lr: float, weight_decay: float = 0.0) -> None:
         super().__init__()
@@ -50,11 +52,16 @@ class Phase(LightningModule):
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Behavioural-cloning loss on held-out trajectories, for each domain."""
         for domain, steps in batch.transitions.items():
-            out = self.policy({domain: steps.observation}, {domain: steps.task})
-            loss = behavioural_cloning(out.action, {domain: steps.action})
+            loss = behavioural_cloning(self.predict({domain: steps}), {domain: steps.action})
             size = len(steps.action)
             self.log(f"val/bc_{domain}", loss, batch_size=size, on_epoch=True)
             self.log("val/bc", loss, batch_size=size, on_epoch=True)
+
+    def predict(self, transitions: Mapping[str, Transitions]) -> dict[str, Tensor]:
+        """The policy's actions ``(B_d, A_d)`` by domain."""
+        observation = {domain: steps.observation for domain, steps in transitions.items()}
+        out: Forward = self.policy(observation, {domain: steps.task for domain, steps in transitions.items()})
+        return out.action
 
     @property
     def logs_now(self) -> bool:

@@ -35,7 +35,7 @@ def test_trajectories_are_found_by_task() -> None:
 
 
 def test_tensors_share_the_memory_of_the_arrays() -> None:
-    state, image = np.zeros((4, 3), dtype=np.float32), np.zeros((4, 2, 2, 3), dtype=np.uint8)
+    state, image = np.zeros((4, 3), dtype=np.float32), torch.zeros(4, 2, 2, 3, dtype=torch.uint8)
     table = build_table(SPEC, state, image, np.zeros((4, 2), np.float32), np.array([0, 4]), np.array([0]))
     state[1, 2], image[3, 0, 0, 0] = 8, 9
     taken = table.take(torch.tensor([1, 3])).observation
