@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError
-from datamodules.formats.d4rl import Segment, read_walk, split_walk
+from datamodules.formats.d4rl import Segment, Walk, read_walk, split_walk
 from datamodules.formats.source import describe_source
 from datamodules.hdf5 import add_trajectories
 from datamodules.types import Observation, Trajectory
@@ -37,12 +37,16 @@ def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:
         TrajectoryFileError: If the file cannot be read, was made in another maze or has no use, or ``out`` holds
             another domain of that name or cannot be written.
     """
-    segments = split_walk(read_walk(source))
-    flaws = [flaw(segment, maze, source) for segment in segments]
-    fit = [segment for segment, found in zip(segments, flaws, strict=True) if not found]
-    dropped = Counter(found for found in flaws if found)
+    walk = read_walk(source)
+    pieces = split_walk(walk)
+    ways = [piece for piece in pieces if len(piece.actions) >= SHORTEST]
+    flaws = find_flaws(ways, walk, maze, source)
+    fit = [way for way, flaw in zip(ways, flaws, strict=True) if not flaw]
+    dropped = Counter(flaw for flaw in flaws if flaw)
+    if len(ways) < len(pieces):
+        dropped[f"shorter than {SHORTEST} steps"] = len(pieces) - len(ways)
     if not fit:
-        raise TrajectoryFileError(f"{source}: none of {len(segments)} ways can be used ({_listed(dropped)})")
+        raise TrajectoryFileError(f"{source}: none of {len(pieces)} ways can be used ({_listed(dropped)})")
     record = {
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "source": {**describe_source(source), "format": "D4RL maze2d"},
@@ -50,59 +54,60 @@ def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:
         "dropped": dict(dropped),
         "versions": versions(),
     }
-    trajectories = [demonstration(segment, maze, domain) for segment in fit]
+    tasks = name_tasks(fit, maze)
+    trajectories = [demonstration(way, task, maze, domain) for way, task in zip(fit, tasks, strict=True)]
     add_trajectories(out, [maze.spec(domain)], maze.tasks, trajectories, record)
-    tasks = len({trajectory.task for trajectory in trajectories})
-    print(f"{out}: {len(fit)} demonstrations of {tasks} tasks imported; {_listed(dropped) or 'none dropped'}")
+    print(f"{out}: {len(fit)} demonstrations of {len({*tasks})} tasks imported; {_listed(dropped) or 'none dropped'}")
 
 
-def flaw(segment: Segment, maze: PointMaze, source: Path) -> str:
-    """Why a way to a goal is no demonstration, in a few words; empty if it is one.
+def find_flaws(ways: Sequence[Segment], walk: Walk, maze: PointMaze, source: Path) -> list[str]:
+    """Why each way to a goal is no demonstration, in a few words; empty if it is one.
+
+    D4RL draws goals around whole numbers, which name the cell, though cells lie 0.2 lower in its frame.
 
     Raises:
-        TrajectoryFileError: If it leads through a wall: it belongs to another maze.
+        TrajectoryFileError: If the walk or a goal of it leads through a wall: it belongs to another maze.
     """
-    if len(segment.actions) < SHORTEST:
-        return f"shorter than {SHORTEST} steps"
-    places = maze.frame.cells(segment.states[:, :2])
-    cells, goal = maze.layout.nearest(places), goal_cell(segment, maze)
-    _check_layout(np.vstack([cells, goal]), segment, maze, source)
-    if np.linalg.norm(places[0] - goal) <= NEAR or tuple(cells[0]) == goal:
-        return "begins at its goal"
-    return "" if np.linalg.norm(places[-1] - goal) <= NEAR else "ends before its goal"
+    places = maze.frame.cells(walk.states[:, :2])
+    cells, goals = maze.layout.nearest(places), maze.layout.nearest(walk.goals)
+    _check_layout(np.stack([cells, goals], axis=1), maze, source)
+    first = np.array([way.row for way in ways], dtype=int)
+    last = first + np.array([len(way.actions) - 1 for way in ways], dtype=int)
+    near = np.linalg.norm(places - goals, axis=1) <= NEAR
+    begins = near[first] | (cells[first] == goals[first]).all(axis=1)
+    flaws: list[str] = np.select([begins, ~near[last]], ["begins at its goal", "ends before its goal"], "").tolist()
+    return flaws
 
 
-def demonstration(segment: Segment, maze: PointMaze, domain: str) -> Trajectory:
+def name_tasks(ways: Sequence[Segment], maze: PointMaze) -> list[str]:
+    """Names of the tasks: the zone of the cell where a way begins, and the cell of its goal."""
+    zone_of = {cell: zone for zone, cells in enumerate(maze.layout.zones) for cell in cells}
+    starts = maze.layout.nearest(maze.frame.cells(np.array([way.states[0, :2] for way in ways])))
+    goals = maze.layout.nearest(np.array([way.goal for way in ways]))
+    pairs = zip(starts.tolist(), goals.tolist(), strict=True)
+    return [f"s{zone_of[start[0], start[1]]}_g_{goal[0]}_{goal[1]}" for start, goal in pairs]
+
+
+def demonstration(way: Segment, task: str, maze: PointMaze, domain: str) -> Trajectory:
     """A flawless way to a goal as the domain sees it; actions beyond the limit are clipped, as D4RL's motors do.
 
     A walk that was never reset has no seeds; the number of the first step stands in for one.
     """
-    state = maze.states_in_maze(segment.states)
-    actions = maze.actions_in_maze(np.clip(segment.actions, -1, 1))
-    return Trajectory(domain, task_of(segment, maze), Observation(state), actions, segment.row, success=True)
+    state = maze.states_in_maze(way.states)
+    actions = maze.actions_in_maze(np.clip(way.actions, -1, 1))
+    return Trajectory(domain, task, Observation(state), actions, way.row, success=True)
 
 
-def task_of(segment: Segment, maze: PointMaze) -> str:
-    """Name of the task: the zone of the cell where the way begins, and the cell of its goal."""
-    start = tuple(maze.layout.nearest(maze.frame.cells(segment.states[:1, :2]))[0])
-    zone = next(number for number, cells in enumerate(maze.layout.zones) if start in cells)
-    row, column = goal_cell(segment, maze)
-    return f"s{zone}_g_{row}_{column}"
-
-
-def goal_cell(segment: Segment, maze: PointMaze) -> tuple[int, int]:
-    """Row and column of the goal: D4RL draws goals around whole numbers, though cells lie 0.2 lower in its frame."""
-    row, column = maze.layout.nearest(segment.goal)
-    return int(row), int(column)
-
-
-def _check_layout(cells: np.ndarray, segment: Segment, maze: PointMaze, source: Path) -> None:
-    free: Sequence[tuple[int, int]] = maze.layout.cells
-    strange = {tuple(cell) for cell in np.unique(cells, axis=0).tolist()}.difference(free)
-    if strange:
+def _check_layout(cells: np.ndarray, maze: PointMaze, source: Path) -> None:
+    """``cells (N, 2, 2)``: where the walker and its goal are in each step."""
+    free = np.zeros(maze.layout.shape, dtype=bool)
+    free[tuple(np.transpose(maze.layout.cells))] = True
+    strange = np.argwhere(~free[cells[..., 0], cells[..., 1]])
+    if len(strange):
+        step, goal = strange[0].tolist()
+        found = f"{'the goal' if goal else 'the walk'} of step {step} in cell {tuple(cells[step, goal].tolist())}"
         raise TrajectoryFileError(
-            f"{source}: the way that begins at step {segment.row} touches cell {min(strange)}, a wall of this maze; "
-            "expected a walk or a goal between its walls: choose another --layout"
+            f"{source}: found {found}, a wall of this maze; expected places between its walls: choose another --layout"
         )
 
 

@@ -97,12 +97,14 @@ def test_mistakes_are_told_in_one_line(tmp_path, source):
     out = tmp_path / "x.hdf5"
     assert "is a wall of this maze" not in complaint(*import_into(out, tmp_path / "none.hdf5"))
     told = complaint(*import_into(out, source, layout="medium"))
-    assert "begins at step 0 touches cell (1, 3), a wall of this maze; expected" in told
+    assert "found the walk of step 19 in cell (1, 3), a wall of this maze; expected" in told
     assert "choose another --layout" in told
     assert "invalid choice: 'large'" in complaint(*import_into(out, source, layout="large"))
     arrays = maze2d.walk([0, 4])
     arrays["infos/goal"][:] = 1e30
-    assert "touches cell (4, 4), a wall" in complaint(*import_into(out, maze2d.write(source, arrays)))
+    assert "found the goal of step 0 in cell (4, 4), a wall" in complaint(
+        *import_into(out, maze2d.write(source, arrays))
+    )
     arrays["infos/goal"][:] = 1
     told = complaint(*import_into(out, maze2d.write(source, arrays)))
     assert "none of 1 ways can be used (1 dropped: begins at its goal)" in told
