@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 import signal
 from pathlib import Path
@@ -10,10 +12,12 @@ import h5py
 import pytest
 from command import checkpoint, complaint, data_root, dies, plp, results, same, smoke_run, tiny_smoke
 
+from plp_lightning.progress import JobProgress
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.metrics_file import read_rows
 
 STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
+EVALUATION = "plp_lightning.experiment:evaluate_all"
 PHASES = ("alignment", "adaptation")
 ALL = ["--alignment.terms", "[mmd, tcc, adversarial]"]
 """All losses at once, so that every stream of random numbers is in play. Steps 1 to 6 and 7 to 12 are its epochs of
@@ -43,9 +47,9 @@ MOMENTS = {
     "first step": (STEP, 1),
     "second epoch of alignment": (STEP, 8),
     "adaptation": (STEP, 14),
-    "before evaluation of alignment": ("plp_lightning.experiment:evaluate_all", 1),
+    "before evaluation of alignment": (EVALUATION, 1),
     "between phases": ("plp_lightning.runs.fit:load_policy_weights", 1),
-    "final evaluation": ("plp_lightning.experiment:evaluate_all", 2),
+    "final evaluation": (EVALUATION, 2),
     **{f"file {n} written, not moved": ("datamodules.atomic:os.replace", n) for n in (1, 9, 14)},
 }
 
@@ -71,6 +75,54 @@ def test_stopped_run_saves_says_so_and_resumes_exactly(step: int, tmp_path: Path
     answer = plp("fit", "--resume", run.path)
     assert answer.code == 0, answer
     assert_same_run(run, unbroken)
+
+
+@pytest.mark.parametrize(("phase", "nth"), [("alignment", 1), ("adaptation", 2)])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_run_stopped_in_an_evaluation_says_so_and_resumes_exactly(
+    phase: str, nth: int, number: int, tmp_path: Path, unbroken: RunDirectory
+) -> None:
+    assert dies(["fit", *tiny_smoke(tmp_path), *ALL], EVALUATION, nth, number) == 128 + number
+    run = smoke_run(tmp_path)
+    assert run.status()["state"] == "preempted"
+    assert run.phase_record(phase)["state"] == "running"
+    answer = plp("fit", "--resume", run.path)
+    assert answer.code == 0, answer
+    assert_same_run(run, unbroken)
+
+
+def test_run_stopped_in_its_collection_says_so_and_resumes_exactly(
+    tmp_path: Path, unbroken: RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = [*tiny_smoke(tmp_path), *ALL, "--data.root", str(tmp_path / "data")]
+    with monkeypatch.context() as patch:
+        # This very process is asked to stop when the first demonstrations have come.
+        patch.setattr(JobProgress, "advance", lambda *words: os.kill(os.getpid(), signal.SIGTERM))
+        answer = plp("fit", *options)
+    assert (answer.code, answer.err.count("\n")) == (128 + signal.SIGTERM, 1)
+    assert "stopped by SIGTERM; go on with plp fit --resume" in answer.err
+    run = smoke_run(tmp_path)
+    assert run.status()["state"] == "preempted"
+    assert run.status()["phases"] == {}
+    assert not [file for file in (tmp_path / "data").iterdir() if file.suffix != ".lock"]
+    spent = run.status()["collection_seconds"]
+    assert spent > 0
+    answer = plp("fit", "--resume", run.path)
+    assert answer.code == 0, answer
+    assert_same_run(run, unbroken)
+    assert run.status()["collection_seconds"] > spent
+
+
+@pytest.mark.parametrize(("where", "nth"), [(STEP, 8), (EVALUATION, 1)])
+def test_time_before_a_kill_is_counted(where: str, nth: int, tmp_path: Path) -> None:
+    assert dies(["fit", *tiny_smoke(tmp_path), *ALL], where, nth, signal.SIGKILL) == -signal.SIGKILL
+    run = smoke_run(tmp_path)
+    assert run.phase_record("alignment")["seconds"] > 0
+    run.update_status("running", "alignment", {"seconds": 1000.0})
+    assert plp("fit", "--resume", run.path).code == 0
+    seconds = json.loads(run.results.read_text())["seconds"]
+    assert seconds["alignment"] > 1000
+    assert 0 < seconds["adaptation"] < 1000
 
 
 def test_finished_run_is_left_alone(unbroken: RunDirectory) -> None:

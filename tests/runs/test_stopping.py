@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from plp_lightning.callbacks.preemption import PreemptedError
+from plp_lightning.runs.stopping import stoppable
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_leaves_the_block_with_its_exit_code_and_the_old_handler(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(PreemptedError, match=f"stopped by {number.name}") as found, stoppable():
+        os.kill(os.getpid(), number)
+    assert found.value.exit_code == 128 + number
+    assert signal.getsignal(number) is before
+
+
+def test_a_block_without_a_signal_changes_nothing() -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
+    with stoppable():
+        assert signal.getsignal(signal.SIGTERM) is not before[0]
+    assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)] == before
