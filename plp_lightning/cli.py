@@ -17,6 +17,7 @@ VERBS = {
     "test": ("plp_lightning.verbs.experiments:run_test", "success rates of a run in the simulators"),
     "predict": ("plp_lightning.verbs.experiments:run_predict", "actions of a run's policy on held-out trajectories"),
     "data": ("plp_lightning.verbs.data:run_data", "inspect or validate a trajectory file"),
+    "doctor": ("plp_lightning.verbs.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
 }
 
 USAGE = """usage: plp VERB [options]

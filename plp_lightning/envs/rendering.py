@@ -30,12 +30,11 @@ def choose_backend() -> Backend:
     Raises:
         UserError: If ``MUJOCO_GL`` names a backend that needs a screen, or nothing works.
     """
+    _keep_to_calling_threads()
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     for backend in get_args(Backend):
         if wanted == backend or (not wanted and works(backend)):
             os.environ["MUJOCO_GL"] = backend
-            # Several contexts at once share the cores; Mesa's own threads would fight with ours for them.
-            os.environ.setdefault("LP_NUM_THREADS", "0")
             chosen: Backend = backend
             return chosen
     if wanted:
@@ -54,12 +53,18 @@ def missing(backend: Backend) -> str:
 @cache
 def works(backend: Backend) -> bool:
     """Whether the backend's library is there and, for EGL, a device that can be initialised."""
+    _keep_to_calling_threads()
     try:
         if backend == "osmesa":
             return bool(ctypes.CDLL("libOSMesa.so.8"))
         return _egl_initialises(ctypes.CDLL("libEGL.so.1"))
     except OSError:
         return False
+
+
+def _keep_to_calling_threads() -> None:
+    """Tell Mesa, which asks when it is first used, to draw in the thread that calls: its own would fight for cores."""
+    os.environ.setdefault("LP_NUM_THREADS", "0")
 
 
 def _egl_initialises(egl: ctypes.CDLL) -> bool:

@@ -23,7 +23,7 @@ BALLS = {"red": (0.9, 0.05, 0.05, 1.0), "green": (0.05, 0.7, 0.05, 1.0), "blue":
 """Colour of each ball, RGBA."""
 BALL_RADIUS = 0.03
 """Radius that is drawn, m: the balls touch nothing."""
-UNSEEN = ("head", "torso", "pedestal", "pedestal_feet", "controller_box")
+UNSEEN = ("torso", "pedestal_feet", "controller_box")
 """Parts of the robot that are in none of our pictures."""
 WELD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 5.0)
 """How Meta-World welds the hand to the point that it follows (``SawyerMocapBase.reset_mocap_welds``)."""

@@ -55,7 +55,7 @@ def test_push_mixes_opening_and_closing(hands: np.ndarray) -> None:
 
 def test_reach_is_metaworlds_with_the_fingertips_at_the_ball(hands: np.ndarray) -> None:
     balls = hands + np.random.default_rng(1).normal(0, 0.2, hands.shape)
-    expected = metaworld_actions("SawyerReachV3Policy", hands, balls + [0.0, 0.0, 0.045])
+    expected = metaworld_actions("SawyerReachV3Policy", hands, balls + np.array([0.0, 0.0, 0.045]))
     np.testing.assert_allclose(reach(hands, balls), expected, atol=1e-6)
 
 
