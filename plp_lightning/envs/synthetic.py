@@ -3,6 +3,9 @@
 All domains share the latent state p in the plane and the latent action u, a velocity. A domain shows
 ``A p + b`` for its own injective A and takes ``R u`` for its own rotation R, so the maps that a transfer
 has to find exist, are linear and are known. They make every part of the framework run in seconds.
+
+Where the goals are may also be a thing that a camera alone shows: three coloured spots in an order that changes
+from episode to episode.
 """
 
 from __future__ import annotations
@@ -63,6 +66,10 @@ class LinearPoint(Simulator):
         plane: np.ndarray = (state - self.shift) @ self.lift
         return plane
 
+    def goals_of(self, tasks: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
+        """Goals ``(E, 2)`` of episodes in the plane."""
+        return np.array([self.goal(task) for task in tasks])
+
     def goal(self, task: str) -> np.ndarray:
         """The task's goal in the plane."""
         angle = 2 * np.pi * self.tasks.index(task) / GOALS
@@ -70,7 +77,7 @@ class LinearPoint(Simulator):
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Points near the centre."""
-        self.goals = np.array([self.goal(task) for task in tasks])
+        self.goals = self.goals_of(tasks, seeds)
         self.point = np.array([np.random.default_rng(seed).uniform(-0.3, 0.3, 2) for seed in seeds])
         return self._observe(np.arange(len(tasks)))
 
@@ -84,6 +91,64 @@ class LinearPoint(Simulator):
 
     def _observe(self, episodes: np.ndarray) -> Observation[np.ndarray]:
         return Observation((self.point[episodes] @ self.lift.T + self.shift).astype(np.float32))
+
+
+class SeenPoint(LinearPoint):
+    """A point in the plane whose goals a camera shows: three spots, red, green and blue; a task is a colour.
+
+    The spots stand at three places of the unit circle in one of six orders, which an episode's seed chooses, so
+    that without the image the goal can only be guessed. Each domain's camera looks from an angle of its own.
+
+    Args:
+        map_seed: Chooses the maps of this domain, the camera's angle among them.
+        state_size: O, at least 2.
+        horizon: Control steps of an episode.
+        image_size: Height and width of an image, pixels.
+    """
+
+    def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40, image_size: int = 16) -> None:
+        super().__init__(map_seed, state_size, horizon)
+        self.image_size = image_size
+        angle = np.random.default_rng([map_seed, 1]).uniform(0, 2 * np.pi)
+        self.view = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """Colours of the goals."""
+        return ("red", "green", "blue")
+
+    def spec(self, name: str) -> DomainSpec:
+        """The lifted position and an image; two actions."""
+        camera = ObservationKey("camera", (self.image_size, self.image_size, 3), kind="image")
+        keys = (camera, ObservationKey("position", (self.state_size,)))
+        return DomainSpec(name, keys, 2, control_hz=10.0, env=f"SeenPoint({self.map_seed})")
+
+    def spots(self, seeds: Sequence[int]) -> np.ndarray:
+        """Places of the three colours ``(E, 3, 2)`` in the plane."""
+        angles = 2 * np.pi * np.arange(3) / 3
+        places = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return np.array([places[np.random.default_rng([seed, 1]).permutation(3)] for seed in seeds])
+
+    def goals_of(self, tasks: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
+        """Where the spots of the tasks' colours are, ``(E, 2)``."""
+        return self.spots(seeds)[np.arange(len(tasks)), [self.tasks.index(task) for task in tasks]]
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Points near the centre, spots in an order of their own."""
+        self.colours = self.spots(seeds)
+        return super().reset(tasks, seeds)
+
+    def _observe(self, episodes: np.ndarray) -> Observation[np.ndarray]:
+        state = super()._observe(episodes).state
+        lights = self._light(self.colours[episodes]) + self._light(self.point[episodes][:, None])
+        return Observation(state, np.minimum(lights * 255, 255).astype(np.uint8))
+
+    def _light(self, places: np.ndarray) -> np.ndarray:
+        """Spots of light at ``places (n, C, 2)``, one a channel, as ``(n, H, W, C)``; C = 1 is white."""
+        seen = places @ self.view.T
+        pixels = np.linspace(-1.3, 1.3, self.image_size)
+        rows, columns = (np.exp(-((pixels[:, None] - seen[:, None, :, i]) ** 2) / 0.05) for i in range(2))
+        return np.einsum("nhc,nwc->nhwc", rows, columns)
 
 
 class LinearPointExpert(Expert):
@@ -100,7 +165,7 @@ class LinearPointExpert(Expert):
         """Look up the goals and the maps."""
         if not isinstance(simulator, LinearPoint):
             raise UserError(f"LinearPointExpert demonstrates in LinearPoint only, not in {type(simulator).__name__}")
-        self.simulator, self.goals = simulator, np.array([simulator.goal(task) for task in tasks])
+        self.simulator, self.goals = simulator, simulator.goals_of(tasks, seeds)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """The clipped velocity towards the goal, in the domain's own action frame."""
