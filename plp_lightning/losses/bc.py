@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 
-def behavioural_cloning(prediction: Mapping[str, Tensor], action: Mapping[str, Tensor]) -> Tensor:
-    r"""Squared L2 distance to the demonstrated action, mean over the samples of all domains.
+def behavioural_cloning(
+    prediction: Mapping[str, Tensor], action: Mapping[str, Tensor], reduction: Literal["mean", "sum"] = "mean"
+) -> Tensor:
+    r"""Squared distance to the demonstrated action, mean over the samples of all domains.
 
     .. math:: L_{BC} = \mathbb{E}_{(s,a,d,k)} \| \psi_d(\pi_z(\phi_d(s), k), s) - a \|^2
 
-    Summed over the action dimensions of a domain, so that a domain with more of them weighs more; every
-    sample counts once, whichever its domain. See "Cross-Domain Policy Transfer by Representation Alignment
-    via Multi-Domain Behavioral Cloning" (https://arxiv.org/abs/2407.16912), Eq. 1.
+    Every sample counts once, whichever its domain. The reduction over action dimensions decides how much the
+    alignment terms weigh beside this one. See "Cross-Domain Policy Transfer by Representation Alignment via
+    Multi-Domain Behavioral Cloning" (https://arxiv.org/abs/2407.16912), Eq. 1.
 
     Args:
         prediction: By domain, ``(B_d, A_d)``; both sizes may differ between domains.
         action: By domain, what the expert did, ``(B_d, A_d)``.
+        reduction: Over the action dimensions of a domain: their ``mean``, so that domains weigh alike whatever the
+            size of their actions, or their ``sum`` (as printed).
 
     Returns:
         Scalar.
 
     Example:
         >>> behavioural_cloning({"point": torch.tensor([[1.0, 2.0]])}, {"point": torch.zeros(1, 2)})
-        tensor(5.)
+        tensor(2.5000)
     """
     assert prediction, "expected at least one domain"
     assert prediction.keys() == action.keys(), f"predictions of {[*prediction]}, actions of {[*action]}"
@@ -36,5 +41,6 @@ def behavioural_cloning(prediction: Mapping[str, Tensor], action: Mapping[str, T
         assert predicted.shape == shape, (
             f"expected predictions {shape} in domain {domain!r}, got {tuple(predicted.shape)}"
         )
-    errors = [(predicted - action[domain]).square().sum() for domain, predicted in prediction.items()]
+    share = {domain: predicted.shape[1] if reduction == "mean" else 1 for domain, predicted in prediction.items()}
+    errors = [(predicted - action[d]).square().sum() / share[d] for d, predicted in prediction.items()]
     return torch.stack(errors).sum() / sum(len(predicted) for predicted in prediction.values())

@@ -33,6 +33,7 @@ class Alignment(Phase):
         tcc_weight: λ_TCC.
         adversarial_weight: Weight of the encoder's loss against the discriminator.
         reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
+        bc_reduction: Of behavioural cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         tcc_similarity: First softmax of TCC: distances as printed in the paper, squared, or squared and scaled.
         discriminator_layers: Hidden layers of the discriminator.
         discriminator_hidden: Units in its hidden layers.
@@ -49,6 +50,7 @@ class Alignment(Phase):
         tcc_weight: float = 0.2,
         adversarial_weight: float = 0.1,
         reconstruction_weight: float = 1.0,
+        bc_reduction: Literal["mean", "sum"] = "mean",
         tcc_similarity: Literal["distance", "squared", "scaled"] = "distance",
         discriminator_layers: int = 4,
         discriminator_hidden: int = 192,
@@ -63,7 +65,7 @@ class Alignment(Phase):
             "adversarial": adversarial_weight,
             "reconstruction": reconstruction_weight,
         }
-        self.terms, self.tcc_similarity = tuple(terms), tcc_similarity
+        self.terms, self.bc_reduction, self.tcc_similarity = tuple(terms), bc_reduction, tcc_similarity
         self.demand: Demand = "pairs" if "tcc" in terms else "proxies"
         self.discriminator = (
             DomainDiscriminator(policy.latent_size, len(policy.domains), discriminator_hidden, discriminator_layers)
@@ -79,7 +81,7 @@ class Alignment(Phase):
         latent = {domain: encoded[domain][: len(s.action)] for domain, s in steps.items()}
         plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
         action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
-        parts = {"bc": behavioural_cloning(action, {domain: s.action for domain, s in steps.items()})}
+        parts = {"bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}, self.bc_reduction)}
         parts |= self._alignment_terms(list(latent.values()))
         if self.image_decoder is not None:
             images = {domain: s.observation.image for domain, s in steps.items() if s.observation.image is not None}

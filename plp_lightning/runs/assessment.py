@@ -70,7 +70,7 @@ def held_out_predictions(assessment: Assessment) -> dict[str, tuple[np.ndarray, 
 def held_out_losses(assessment: Assessment) -> dict[str, float]:
     """Behavioural-cloning loss on held-out trajectories, by domain (Eq. 1)."""
     pairs = held_out_predictions(assessment)
-    return {f"val/bc_{d}": float(((p - a) ** 2).sum(axis=1).mean()) for d, (p, a) in pairs.items()}
+    return {f"val/bc_{d}": float(((p - a) ** 2).mean()) for d, (p, a) in pairs.items()}
 
 
 def predict_actions(assessment: Assessment, path: Path) -> str:

@@ -1,19 +1,23 @@
 from __future__ import annotations
 
+from typing import Literal
+
 import pytest
 import torch
 
 from plp_lightning.losses import behavioural_cloning
 
 
-def test_sums_over_dimensions_and_means_over_the_samples_of_all_domains() -> None:
+def test_means_over_dimensions_and_over_the_samples_of_all_domains() -> None:
     prediction = {"point": torch.tensor([[1.0, 2.0]]), "ant": torch.tensor([[0.0, 0.0, 3.0], [1.0, 1.0, 1.0]])}
     action = {"point": torch.tensor([[0.0, 0.0]]), "ant": torch.tensor([[0.0, 0.0, 1.0], [1.0, 1.0, 2.0]])}
-    # (1 + 4) + (4) + (1) over three samples
-    assert behavioural_cloning(prediction, action).item() == pytest.approx(10 / 3)
+    # (1 + 4) + (4) + (1) over three samples, and in the mean 5 / 2 + 4 / 3 + 1 / 3
+    assert behavioural_cloning(prediction, action, "sum").item() == pytest.approx(10 / 3)
+    assert behavioural_cloning(prediction, action).item() == pytest.approx(25 / 18)
 
 
-def test_equals_a_loop_over_samples_of_domains_with_different_sizes() -> None:
+@pytest.mark.parametrize("reduction", ["mean", "sum"])
+def test_equals_a_loop_over_samples_of_domains_with_different_sizes(reduction: Literal["mean", "sum"]) -> None:
     generator = torch.Generator().manual_seed(0)
     shapes = {"a": (5, 2), "b": (3, 8), "c": (1, 4)}
     prediction, action = (
@@ -22,10 +26,13 @@ def test_equals_a_loop_over_samples_of_domains_with_different_sizes() -> None:
     )
     errors = [
         sum((p - a) ** 2 for p, a in zip(row.tolist(), other.tolist(), strict=True))
+        / (len(row) if reduction == "mean" else 1)
         for name in shapes
         for row, other in zip(prediction[name], action[name], strict=True)
     ]
-    assert behavioural_cloning(prediction, action).item() == pytest.approx(sum(errors) / len(errors), rel=1e-12)
+    assert behavioural_cloning(prediction, action, reduction).item() == pytest.approx(
+        sum(errors) / len(errors), rel=1e-12
+    )
 
 
 def test_gradient_is_twice_the_error_over_all_samples() -> None:
