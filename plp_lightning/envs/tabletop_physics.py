@@ -54,10 +54,14 @@ class Layout(NamedTuple):
 
 
 class _Room(threading.local):
-    """What a thread works with. It dies with its thread, in its thread, as an OpenGL context must."""
+    """What a thread of one pool works with. It dies with its thread, in its thread, as an OpenGL context must."""
 
     data: mujoco.MjData | None = None
     camera: Camera
+
+
+# Of the module, not of a simulator: that may be let go by another thread, which would free another context's pictures.
+_room = _Room()
 
 
 class TabletopPhysics:
@@ -72,7 +76,6 @@ class TabletopPhysics:
 
     def __init__(self, scene: TabletopModel, viewpoint: Viewpoint, image_size: int, threads: int) -> None:
         self.scene, self.viewpoint, self.image_size, self.threads = scene, viewpoint, image_size, threads
-        self._room = _Room()
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="tabletop")
         self._make_room(0)
 
@@ -127,10 +130,10 @@ class TabletopPhysics:
             job.result()
 
     def _enter(self) -> _Room:
-        if self._room.data is None:
-            self._room.camera = Camera(self.scene.model, self.viewpoint, self.image_size)
-            self._room.data = mujoco.MjData(self.scene.model)
-        return self._room
+        if _room.data is None:
+            _room.camera = Camera(self.scene.model, self.viewpoint, self.image_size)
+            _room.data = mujoco.MjData(self.scene.model)
+        return _room
 
     def _begin(self, row: int, layout: Layout, data: mujoco.MjData) -> bool:
         model, scene = self.scene.model, self.scene

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 import subprocess
 import sys
@@ -221,3 +222,20 @@ def test_only_the_bad_episode_becomes_invalid() -> None:
         np.testing.assert_array_equal(step.observation.image[[0, 2, 4]], image[[0, 2, 4]])
         np.testing.assert_array_equal(step.observation.state[[1, 3]], good[0, [1, 3]])
         np.testing.assert_array_equal(step.observation.image[[1, 3]], pictures[0, [1, 3]])
+
+
+@drawn
+def test_letting_a_simulator_go_leaves_other_pictures_alone() -> None:
+    first = Reach("rear", image_size=32, threads=2)
+    before = first.reset(["red", "green"], [0, 1]).image
+    assert before is not None
+    second = Reach("rear", image_size=32, threads=2)
+    np.testing.assert_array_equal(second.reset(["red", "green"], [0, 1]).image, before)
+    assert second._physics is not None
+    threads = list(second._physics._pool._threads)
+    del second
+    gc.collect()
+    for thread in threads:
+        thread.join(timeout=60)
+        assert not thread.is_alive()
+    np.testing.assert_array_equal(first.reset(["red", "green"], [0, 1]).image, before)

@@ -83,7 +83,9 @@ def test_equals_metaworld_step_by_step(simulator: Tabletop, task: str) -> None:
         actions = expert.act(observation.take(rows), rows).astype(float) + noise.normal(0, 0.3, (3, 4))
         step = simulator.step(actions, rows)
         theirs, _, _, _, info = env.step(np.clip(actions[1], -1, 1))
-        np.testing.assert_array_equal(step.observation.state[1], theirs[[0, 1, 2, 3, 18, 19, 20, 21]].astype(np.float32))
+        np.testing.assert_array_equal(
+            step.observation.state[1], theirs[[0, 1, 2, 3, 18, 19, 20, 21]].astype(np.float32)
+        )
         assert step.success[1] == info["success"]
         solved.append(step.success[1])
         observation = step.observation.take(rows)  # rows is its own inverse
