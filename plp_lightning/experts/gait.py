@@ -21,8 +21,8 @@ VELOCITY_LIMIT = 10.0
 class Symmetry:
     """A walker with n equal legs looks the same when turned by 2 π / n and its legs are renumbered.
 
-    A gait therefore need only learn to walk within half such an angle of the x axis: states are turned until the
-    direction is, and the torques for them are handed back to the legs they belong to.
+    A gait therefore need only learn to walk in directions within such an angle: states are turned until the direction
+    lies there, and the torques for them are handed back to the legs they belong to.
 
     Args:
         legs: Number of legs, n; joints and motors in the order of :func:`plp_lightning.envs.walker_model.walker_mjcf`.
@@ -32,14 +32,17 @@ class Symmetry:
         self.legs = legs
         self.features = 13 + 4 * legs
         self._sector = 2 * np.pi / legs
+        # Corridors run along the axes: none of those may lie where one turn gives way to the next.
+        self._offset = 0.0 if legs % 4 == 0 else 0.25
         angles = (np.arange(legs) + 0.5) * self._sector
         # The ankles of the legs behind bend by negative angles.
         ankles = np.where(np.cos(angles) > -1e-9, 1.0, -1.0)
         self._signs = np.stack([np.ones(legs), ankles], axis=1)
 
     def turns(self, directions: np.ndarray) -> np.ndarray:
-        """How many n-ths of a full turn ``(m,)`` each direction ``(m, 2)`` is away from the x axis."""
-        turns: np.ndarray = np.rint(np.arctan2(directions[:, 1], directions[:, 0]) / self._sector).astype(int)
+        """How many n-ths of a full turn ``(m,)`` bring directions ``(m, 2)`` back to where the gait walks."""
+        angles = np.arctan2(directions[:, 1], directions[:, 0])
+        turns: np.ndarray = np.rint(angles / self._sector - self._offset).astype(int)
         return turns
 
     def turn(self, states: np.ndarray, directions: np.ndarray) -> np.ndarray:

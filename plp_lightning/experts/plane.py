@@ -17,6 +17,10 @@ HORIZON = 500
 """Control steps of an episode."""
 REDRAW = 1 / 80
 """Chance of a new direction and a push in each step."""
+PUSHES = (0.4, 2.0)
+"""Standard deviations of ordinary and of hard pushes, in m/s and rad/s."""
+HARD = 0.2
+"""Share of hard pushes: a walker that begins with a foot in a maze's wall is kicked as hard."""
 SPEED = 2.0
 """Faster than this (m/s) earns nothing: walkers that run fall over when a clone errs."""
 
@@ -117,8 +121,10 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
         quarter = np.pi / 2
         angles = np.where(self._rng.random(len(rows)) < 0.5, np.round(angles / quarter) * quarter, angles)
         self._directions[rows] = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        ordinary, hard = PUSHES
+        strength = np.where(self._rng.random((len(rows), 1)) < HARD, hard, ordinary)
         first = self._physics.qvel.start
-        self._states[rows, first : first + 6] += self._rng.normal(0, 0.4, (len(rows), 6))
+        self._states[rows, first : first + 6] += strength * self._rng.normal(0, 1, (len(rows), 6))
 
     def close(self) -> None:
         """Nothing to close."""

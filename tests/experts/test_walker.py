@@ -148,3 +148,20 @@ def test_training_writes_the_policy_it_trained(tmp_path):
     assert (record["command"], record["steps"], record["of"]) == ("plp collect", 16384, 9000)
     assert [done for done, _ in told] == [8192, 808]
     assert all("a step, on their feet for" in note for _, note in told)
+
+
+def test_directions_of_corridors_are_turned_alike():
+    """The axes lie 15 degrees or more from where one turn of the spider gives way to the next."""
+    for legs, margin in ((4, 44), (6, 14)):
+        for axis in np.arange(4) * np.pi / 2:
+            around = np.concatenate([heading(axis + np.deg2rad(d)) for d in (-margin, 0, margin)])
+            assert len(set(Symmetry(legs).turns(around))) == 1
+
+
+@pytest.mark.parametrize("legs", [4, 6])
+def test_turned_directions_lie_in_one_sector(legs):
+    directions = np.concatenate([heading(angle) for angle in np.linspace(-np.pi, np.pi, 721)])
+    seen = Symmetry(legs).turn(np.zeros((721, 13 + 4 * legs)), directions)[:, -2:]
+    angles = np.rad2deg(np.arctan2(seen[:, 1], seen[:, 0]))
+    middle = 0.0 if legs == 4 else 15.0
+    assert np.abs(angles - middle).max() <= 180 / legs + 1e-3
