@@ -41,7 +41,8 @@ class ImageFile:
 
     def __getitem__(self, rows: Any) -> Tensor:
         """Uint8 ``(B, H, W, C)`` at ``rows``: an index array or tensor ``(B,)``, or a slice."""
-        places = self.place[rows]
+        # numpy takes a tensor of one element for a number.
+        places = self.place[rows if isinstance(rows, slice) else np.asarray(rows)]
         images = np.empty((len(places), *self.shape[1:]), np.uint8)
         numbers = places // self.block_length
         for number in np.unique(numbers):

@@ -14,7 +14,7 @@ from torch import Tensor
 from datamodules.images import Images
 from datamodules.types import DomainSpec, Observation, Transitions
 
-MOST_IMAGE_BYTES = 64 * 2**20
+MOST_IMAGE_BYTES = 16 * 2**20
 """Of images that are looked at together, outside of training."""
 
 

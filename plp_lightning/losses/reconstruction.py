@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import sub
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 
 def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]) -> Tensor:
@@ -13,13 +15,13 @@ def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]
 
     .. math:: L_{rec} = \mathbb{E}_{(s,d)} \frac{1}{HWC} \| \rho_d(\phi_d(s)) - o / 255 \|^2
 
-    with o the image that belongs to the state s. See "Cross-Domain Policy Transfer by Representation Alignment
-    via Multi-Domain Behavioral Cloning" (https://arxiv.org/abs/2407.16912), appendix on architectures, which
-    names the loss and leaves its form open.
+    with o the image that belongs to the state s, averaged over squares of pixels if the prediction is smaller.
+    See "Cross-Domain Policy Transfer by Representation Alignment via Multi-Domain Behavioral Cloning"
+    (https://arxiv.org/abs/2407.16912), appendix on architectures, which names the loss and leaves its form open.
 
     Args:
         prediction: By domain, floats in [0, 1], ``(B_d, H, W, C)``.
-        image: By domain, uint8, same shape.
+        image: By domain, uint8, ``(B_d, H', W', C)``, at least as large.
 
     Returns:
         Scalar; float32 whatever autocast says.
@@ -30,12 +32,19 @@ def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]
     """
     assert prediction, "expected at least one domain"
     assert prediction.keys() == image.keys(), f"predictions of {[*prediction]}, images of {[*image]}"
-    for domain, predicted in prediction.items():
-        shape = tuple(image[domain].shape)
-        assert len(shape) == 4, f"expected images (B, H, W, C) in domain {domain!r}, got {shape}"
-        assert image[domain].dtype is torch.uint8, f"expected uint8 images, got {image[domain].dtype}"
-        assert predicted.shape == shape, (
-            f"expected predictions {shape} in domain {domain!r}, got {tuple(predicted.shape)}"
-        )
-    errors = [(predicted - image[domain].float() / 255).square().sum() for domain, predicted in prediction.items()]
+    errors = [
+        (predicted - _target(predicted, image[domain])).square().sum() for domain, predicted in prediction.items()
+    ]
     return torch.stack(errors).sum() / sum(predicted.numel() for predicted in prediction.values())
+
+
+def _target(prediction: Tensor, image: Tensor) -> Tensor:
+    """The image in [0, 1], in the shape of the prediction."""
+    found, wanted = tuple(image.shape), tuple(prediction.shape)
+    fits = len(found) == len(wanted) == 4 and found[::3] == wanted[::3] and min(map(sub, found, wanted)) >= 0
+    assert fits, f"expected images (B, H, W, C) for predictions {wanted}, got {found}"
+    assert image.dtype is torch.uint8, f"expected uint8 images, got {image.dtype}"
+    pixels = image.float() / 255
+    if found == wanted:
+        return pixels
+    return functional.adaptive_avg_pool2d(pixels.permute(0, 3, 1, 2), wanted[1:3]).permute(0, 2, 3, 1)

@@ -8,10 +8,12 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from datamodules.errors import ConfigError
 from datamodules.transfer import Demand
 from datamodules.types import Batch, Observation, Sequences
 from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, reconstruction, tcc
 from plp_lightning.networks import DomainDiscriminator, ImageDecoder
+from plp_lightning.networks.vision import halvings
 from plp_lightning.phases.base import Phase
 from plp_lightning.policy import Parts, PortablePolicy
 
@@ -34,6 +36,8 @@ class Alignment(Phase):
         adversarial_weight: Weight of the encoder's loss against the discriminator.
         reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
         bc_reduction: Of behavioural cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
+        reconstruction_halvings: How often images are halved before; each makes the image decoder, the costliest part
+            of a step with images, a layer shorter.
         tcc_similarity: First softmax of TCC: distances as printed in the paper, squared, or squared and scaled.
         discriminator_layers: Hidden layers of the discriminator.
         discriminator_hidden: Units in its hidden layers.
@@ -50,6 +54,7 @@ class Alignment(Phase):
         tcc_weight: float = 0.2,
         adversarial_weight: float = 0.1,
         reconstruction_weight: float = 1.0,
+        reconstruction_halvings: int = 0,
         bc_reduction: Literal["mean", "sum"] = "mean",
         tcc_similarity: Literal["distance", "squared", "scaled"] = "distance",
         discriminator_layers: int = 4,
@@ -72,7 +77,7 @@ class Alignment(Phase):
             if "adversarial" in terms
             else None
         )
-        self.image_decoder = _image_decoder(policy) if reconstruction_weight > 0 else None
+        self.image_decoder = _image_decoder(policy, reconstruction_halvings) if reconstruction_weight > 0 else None
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Total loss of one batch, from a single pass through the encoder."""
@@ -122,12 +127,18 @@ class Alignment(Phase):
         return sum(len(steps.action) for steps in batch.transitions.values())
 
 
-def _image_decoder(policy: PortablePolicy) -> ImageDecoder | None:
-    """A decoder that mirrors the policy's image encoder; None if the policy does not see."""
+def _image_decoder(policy: PortablePolicy, halved: int) -> ImageDecoder | None:
+    """A decoder that mirrors the policy's image encoder, to halved images; None if the policy does not see."""
     if policy.image_shape is None:
         return None
-    channels = policy.architecture["image_channels"]
-    return ImageDecoder(policy.latent_size, len(policy.domains), policy.image_shape, channels)
+    channels: list[int] = policy.architecture["image_channels"]
+    if not 0 <= halved < len(channels):
+        raise ConfigError(
+            f"reconstruction_halvings is {halved}; expected 0 to {len(channels) - 1}, one layer must stay"
+        )
+    height, width, colours = policy.image_shape
+    shape = (*halvings((height, width), halved)[-1], colours)
+    return ImageDecoder(policy.latent_size, len(policy.domains), shape, channels[halved:])
 
 
 def _with_frames(observation: Observation[Tensor], frames: Sequences | None) -> Observation[Tensor]:

@@ -69,11 +69,16 @@ def test_what_does_not_belong_together_is_refused() -> None:
         reconstruction({}, {})
     with pytest.raises(AssertionError, match=r"predictions of \['left'\], images of \['right'\]"):
         reconstruction({"left": prediction}, {"right": image})
-    with pytest.raises(
-        AssertionError, match=r"expected predictions \(2, 2, 3, 3\) in domain 'left', got \(1, 2, 3, 3\)"
-    ):
-        reconstruction({"left": prediction[:1]}, {"left": image})
-    with pytest.raises(AssertionError, match=r"expected images \(B, H, W, C\) in domain 'left'"):
-        reconstruction({"left": prediction[0]}, {"left": image[0]})
+    for predicted, seen in ((prediction[:1], image), (prediction[0], image[0]), (prediction, image[:, :1])):
+        with pytest.raises(AssertionError, match=r"expected images \(B, H, W, C\) for predictions \(.*\), got \(.*\)"):
+            reconstruction({"left": predicted}, {"left": seen})
     with pytest.raises(AssertionError, match="expected uint8 images"):
         reconstruction({"left": prediction}, {"left": image.float()})
+
+
+def test_a_smaller_prediction_is_compared_with_the_means_of_squares() -> None:
+    prediction, _ = pair(2, 3, (2, 3))
+    _, image = pair(2, 4, (4, 6))
+    means = (image.double() / 255).view(2, 2, 2, 3, 2, 3).mean(dim=(2, 4))
+    expected = (prediction - means).square().mean().item()
+    assert reconstruction({"left": prediction}, {"left": image}).item() == pytest.approx(expected, rel=1e-6)

@@ -1,0 +1,74 @@
+"""Two small synthetic domains with cameras, their demonstrations, and a small policy that sees."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import torch
+
+from datamodules.hdf5 import write_trajectories
+from datamodules.transfer import TransferDataModule
+from datamodules.types import Trajectory
+from plp_lightning import collect
+from plp_lightning.collect import Job, Recipe, demonstrate
+from plp_lightning.envs.base import Domain
+from plp_lightning.envs.synthetic import LinearPointExpert, SeenPoint
+from plp_lightning.policy import PortablePolicy
+
+TASKS = SeenPoint(1).tasks
+TARGET = "blue"
+PROXIES = ("red", "green")
+IN_MEMORY, ON_DISK, HALF = 1.0, 0.0, 3e-5
+"""GiB for images: enough for all, for none, and for a part of them."""
+
+
+def domains() -> dict[str, Domain]:
+    """Source and target domain, with images of 9 x 9 pixels: sides that don't halve evenly."""
+    return {
+        "left": Domain(SeenPoint(1, state_size=3, image_size=9), LinearPointExpert()),
+        "right": Domain(SeenPoint(2, state_size=5, image_size=9), LinearPointExpert()),
+    }
+
+
+@cache
+def demonstrations(count: int) -> list[Trajectory]:
+    """``count`` demonstrations of each task in each domain."""
+    collect._begin_process(domains())
+    jobs = [Job(domain, task, count, frozenset()) for domain in domains() for task in TASKS]
+    return [made for job in jobs for made in demonstrate(job, Recipe())]
+
+
+def write(path: Path, count: int = 6) -> None:
+    """A trajectory file with all of them."""
+    specs = [domain.simulator.spec(name) for name, domain in domains().items()]
+    write_trajectories(path, specs, TASKS, demonstrations(count), {"command": "tests"})
+
+
+def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 32) -> TransferDataModule:
+    """Demonstrations of the file at ``path``: left is the source, right the target domain."""
+    return TransferDataModule(
+        path,
+        TASKS,
+        PROXIES,
+        (TARGET,),
+        ("left", "right"),
+        "left",
+        "right",
+        TARGET,
+        trajectories=10,
+        target_trajectories=4,
+        held_out=0.2,
+        batch_size=batch_size,
+        pairs=3,
+        stride=4,
+        image_memory=image_memory,
+    )
+
+
+def policy(data: TransferDataModule) -> PortablePolicy:
+    """A small policy for the domains of ``data``, always with the same weights."""
+    torch.manual_seed(0)
+    return PortablePolicy(
+        data.specs, data.tasks, data.statistics(), latent=8, hidden=16, image_channels=[4, 6], image_features=12
+    )
