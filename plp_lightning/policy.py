@@ -1,8 +1,8 @@
 """STATE ENCODER → COMMON POLICY → ACTION DECODER: the paper's figure in one screen.
 
-Domains of any number and size share one network: states and actions are padded to the largest domain,
-here and nowhere else, and a one-hot domain id goes into the encoder and the decoder. A camera's image becomes
-a vector that joins the state; a domain without a camera has zeros there.
+Domains of any number and size share one network: states and actions are padded to one length, here and nowhere
+else, and a one-hot domain id goes into the encoder and the decoder. A camera's image becomes a vector that joins
+the state; a domain without a camera has zeros there.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from datamodules.errors import ConfigError
 from datamodules.normalization import Scaling, Statistics
 from datamodules.types import DomainSpec, Observation
-from plp_lightning.networks import ActionDecoder, CommonPolicy, ImageEncoder, StateEncoder
+from plp_lightning.networks import ActionDecoder, CommonPolicy, DomainColumns, ImageEncoder, Sharing, StateEncoder
 from plp_lightning.scaling import InputScaler
 
 Parts = Mapping[str, Tensor]
@@ -48,6 +48,8 @@ class PortablePolicy(nn.Module):
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
         decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys.
+        columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
+            domains whose vectors mean the same.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
         clip: Bound of z-scored inputs, in deviations.
         image_channels: Of each convolution of the image encoder, which halves the image's sides; without any, the
@@ -70,6 +72,7 @@ class PortablePolicy(nn.Module):
         decoder_layers: int = 3,
         gradient_floor: float = 0.1,
         decoder_state: Literal["none", "all"] | list[str] = "none",
+        columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
         clip: float = 5.0,
         image_channels: Sequence[int] = (64, 64, 128, 128, 128),
@@ -87,6 +90,7 @@ class PortablePolicy(nn.Module):
             "decoder_layers": decoder_layers,
             "gradient_floor": gradient_floor,
             "decoder_state": decoder_state,
+            "columns": columns,
             "scaling": scaling,
             "clip": clip,
             "image_channels": list(image_channels),
@@ -94,34 +98,33 @@ class PortablePolicy(nn.Module):
         }
         self.image_shape = _image_shape(domains) if image_channels else None
         self.image_features = 0 if self.image_shape is None else image_features
-        self.state_size = max(spec.state_size for spec in domains)
         self.scaler = InputScaler(domains, statistics, scaling or {}, clip)
         self.context_columns = {spec.name: _context_columns(spec, decoder_state) for spec in domains}
-        context = max(len(columns) for columns in self.context_columns.values()) + len(domains)
-        actions = max(spec.action_size for spec in domains)
-        inputs = self.state_size + len(domains) + self.image_features
+        self.states = DomainColumns({spec.name: spec.state_size for spec in domains}, columns)
+        self.contexts = DomainColumns({name: len(seen) for name, seen in self.context_columns.items()}, columns)
+        self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
+        inputs = self.states.width + len(domains) + self.image_features
         self.encoder = StateEncoder(inputs, latent, hidden, encoder_layers)
         self.common = CommonPolicy(latent, len(tasks), hidden, policy_layers)
-        self.decoder = ActionDecoder(latent, context, actions, hidden, decoder_layers, gradient_floor)
+        context = self.contexts.width + len(domains)
+        self.decoder = ActionDecoder(latent, context, self.actions.width, hidden, decoder_layers, gradient_floor)
         self.image_encoder = (
             None if self.image_shape is None else ImageEncoder(self.image_shape, image_channels, image_features)
         )
 
     def encode(self, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
-        states = [self._pad(self.scaler(obs.state, d), d, self.state_size) for d, obs in observation.items()]
-        inputs = torch.cat(states)
+        inputs = self.states.join({d: self.scaler(obs.state, d) for d, obs in observation.items()})
         if self.image_encoder is not None:
             inputs = torch.cat([inputs, self._see(self.image_encoder, observation)], dim=1)
         return _split(self.encoder(inputs), observation)
 
     def decode(self, plan: Parts, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
-        width = max(len(columns) for columns in self.context_columns.values())
-        context = [self._pad(self._context(obs, d), d, width) for d, obs in observation.items()]
+        context = self.contexts.join({d: self._context(obs, d) for d, obs in observation.items()})
         joined = torch.cat([plan[domain] for domain in observation])
-        actions = _split(self.decoder(joined, torch.cat(context)), observation)
-        return {domain: action[:, : self.domains[domain].action_size] for domain, action in actions.items()}
+        actions = _split(self.decoder(joined, context), observation)
+        return {domain: self.actions.take(action, domain) for domain, action in actions.items()}
 
     def plan(self, latent: Parts, task: Parts) -> dict[str, Tensor]:
         """π_z: latent actions ``(B_d, Z)`` by domain; the pass itself does not see the domain."""
@@ -161,13 +164,6 @@ class PortablePolicy(nn.Module):
             return observation.state[:, :0]
         scaled: Tensor = self.scaler(observation.state, domain)
         return scaled[:, columns]
-
-    def _pad(self, x: Tensor, domain: str, width: int) -> Tensor:
-        """``(B, n)`` → ``(B, width + D)``: zeros up to ``width``, then the one-hot domain id."""
-        padded = x.new_zeros(len(x), width + len(self.domains))
-        padded[:, : x.shape[1]] = x
-        padded[:, width + list(self.domains).index(domain)] = 1
-        return padded
 
 
 def _split(joined: Tensor, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:

@@ -13,6 +13,7 @@ from torch import Tensor
 from datamodules.errors import ConfigError, UserError
 from datamodules.normalization import Statistics
 from datamodules.types import DomainSpec, Observation
+from plp_lightning.networks import Sharing
 from plp_lightning.policy import PortablePolicy
 
 SMALL, LARGE, TWIN = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5), tiny.spec("twin", 3, 2)
@@ -24,9 +25,12 @@ def build(
     domains: Sequence[DomainSpec] = (SMALL, LARGE, TWIN),
     decoder_state: DecoderState = "all",
     statistics: dict[str, Statistics] | None = None,
+    columns: Sharing = "own",
 ) -> PortablePolicy:
     torch.manual_seed(0)
-    policy = PortablePolicy(domains, TASKS, statistics, latent=6, hidden=12, decoder_state=decoder_state)
+    policy = PortablePolicy(
+        domains, TASKS, statistics, latent=6, hidden=12, decoder_state=decoder_state, columns=columns
+    )
     with torch.no_grad():
         for parameter in policy.parameters():
             parameter.mul_(3)  # an untrained policy hardly reacts to its inputs, which would hide mistakes
@@ -40,13 +44,17 @@ def inputs(*specs: DomainSpec, rows: int = 4) -> tuple[dict[str, Observation[Ten
     return {name: Observation(state) for name, state in states.items()}, tasks
 
 
-def by_hand(policy: PortablePolicy, spec: DomainSpec, state: Tensor, task: int, columns: list[int]) -> Tensor:
+def by_hand(policy: PortablePolicy, spec: DomainSpec, state: Tensor, task: int, seen: list[int], own: bool) -> Tensor:
     """The paper's figure for one state, one sum after the other in float64."""
-    own = torch.eye(3, dtype=torch.float64)[["small", "large", "twin"].index(spec.name)]
-    width = {0: 0, 1: 1}.get(len(columns), 7)
+    domains = [SMALL, LARGE, TWIN]
+    number = domains.index(spec)
+    sizes = {0: [0, 0, 0], 1: [1, 1, 1]}.get(len(seen), [3, 7, 3])
 
-    def padded(values: Tensor, size: int) -> list[Tensor]:
-        return [*values.double(), *[torch.tensor(0.0, dtype=torch.float64)] * (size - len(values)), *own]
+    def padded(values: Tensor, sizes: list[int]) -> list[Tensor]:
+        zero, one = torch.zeros((), dtype=torch.float64), torch.ones((), dtype=torch.float64)
+        before, width = (sum(sizes[:number]), sum(sizes)) if own else (0, max(sizes))
+        after = width - before - len(values)
+        return [*[zero] * before, *values.double(), *[zero] * after, *[one if d is spec else zero for d in domains]]
 
     def run(net: torch.nn.Sequential, x: list[Tensor]) -> list[Tensor]:
         linear = [m for m in net if isinstance(m, torch.nn.Linear)]
@@ -57,22 +65,36 @@ def by_hand(policy: PortablePolicy, spec: DomainSpec, state: Tensor, task: int, 
         return x
 
     clipped = state.clamp(-5, 5)
-    latent = run(policy.encoder.net, padded(clipped, 7))
+    latent = run(policy.encoder.net, padded(clipped, [3, 7, 3]))
     plan = run(policy.common.net, [*latent, *torch.eye(3, dtype=torch.float64)[task]])
-    action = run(policy.decoder.net, [*plan, *padded(clipped[columns], width)])
-    return torch.stack(action)[: spec.action_size].tanh()
+    action = run(policy.decoder.net, [*plan, *padded(clipped[seen], sizes)])
+    first = [0, 2, 7][number] if own else 0
+    return torch.stack(action)[first : first + spec.action_size].tanh()
 
 
-@pytest.mark.parametrize(("decoder_state", "columns"), [("none", 0), ("all", None), (["a"], 1)])
-def test_the_policy_agrees_with_sums_by_hand(decoder_state: DecoderState, columns: int | None) -> None:
-    policy = build(decoder_state=decoder_state)
+@pytest.mark.parametrize("columns", ["own", "shared"])
+@pytest.mark.parametrize(("decoder_state", "count"), [("none", 0), ("all", None), (["a"], 1)])
+def test_the_policy_agrees_with_sums_by_hand(decoder_state: DecoderState, count: int | None, columns: Sharing) -> None:
+    policy = build(decoder_state=decoder_state, columns=columns)
     observation, task = inputs(SMALL, LARGE, TWIN, rows=2)
     action = policy(observation, task).action
     for spec in (SMALL, LARGE, TWIN):
-        seen = list(range(spec.state_size if columns is None else columns))
+        seen = list(range(spec.state_size if count is None else count))
         for row, state in enumerate(observation[spec.name].state):
-            expected = by_hand(policy, spec, state, int(task[spec.name][row]), seen)
+            expected = by_hand(policy, spec, state, int(task[spec.name][row]), seen, columns == "own")
             torch.testing.assert_close(action[spec.name][row].double(), expected, atol=1e-5, rtol=1e-4)
+
+
+def test_own_columns_of_a_domain_move_no_other() -> None:
+    policy = build(decoder_state="all")
+    observation, task = inputs(SMALL, LARGE, TWIN)
+    before = policy(observation, task).action
+    with torch.no_grad():
+        policy.encoder.net[0].weight[:, 3:10] = 100  # the larger domain's, between those of the other two
+        policy.decoder.net[0].weight[:, 6 + 3 : 6 + 10] = 100
+        policy.decoder.net[-1].weight[2:7] = 100
+    after = policy(observation, task).action
+    assert [torch.equal(before[name], after[name]) for name in ("small", "large", "twin")] == [True, False, True]
 
 
 @pytest.mark.parametrize("decoder_state", ["none", "all", ["b"]])
@@ -87,7 +109,7 @@ def test_a_domain_is_not_changed_by_another_ones_presence(decoder_state: Decoder
 
 
 def test_padding_does_not_leak_into_a_smaller_domain() -> None:
-    policy = build(decoder_state="all")
+    policy = build(decoder_state="all", columns="shared")
     observation, task = inputs(SMALL, LARGE)
     before = policy(observation, task).action
     with torch.no_grad():
@@ -185,13 +207,15 @@ def test_any_number_of_domains_shares_one_network(domains: tuple[DomainSpec, ...
     for i, spec in enumerate(domains):
         assert out.action[spec.name].shape == (4 + i, spec.action_size)
         assert out.latent[spec.name].shape == (4 + i, 6)
-    assert policy.encoder.net[0].in_features == max(s.state_size for s in domains) + count
+    assert policy.encoder.net[0].in_features == sum(s.state_size for s in domains) + count
+    assert build(domains, columns="shared").encoder.net[0].in_features == max(s.state_size for s in domains) + count
 
 
 def sizes(first: tuple[int, int], second: tuple[int, int], tasks: int, decoder_state: DecoderState) -> list[int]:
-    """Parameters of encoder, common policy and decoder at the paper's widths."""
+    """Parameters of encoder, common policy and decoder at the paper's widths, where domains share columns."""
     domains = [tiny.spec("x", *first), tiny.spec("y", *second)]
-    policy = PortablePolicy(domains, [f"task_{i}" for i in range(tasks)], decoder_state=decoder_state)
+    names = [f"task_{i}" for i in range(tasks)]
+    policy = PortablePolicy(domains, names, decoder_state=decoder_state, columns="shared")
     parts = (policy.encoder, policy.common, policy.decoder)
     return [sum(p.numel() for p in part.parameters()) for part in parts]
 

@@ -59,8 +59,9 @@ def test_the_vector_of_the_image_joins_the_scaled_state_and_the_domain() -> None
     for i, spec in enumerate((LEFT, RIGHT)):
         seen = observation[spec.name]
         assert seen.image is not None
-        state = torch.zeros(3, 4)
-        state[:, : spec.state_size] = policy.scaler(seen.state, spec.name)
+        state = torch.zeros(3, LEFT.state_size + RIGHT.state_size)
+        first = [0, LEFT.state_size][i]
+        state[:, first : first + spec.state_size] = policy.scaler(seen.state, spec.name)
         domain = torch.eye(2)[i].expand(3, -1)
         by_hand = policy.encoder.net(torch.cat([state, domain, policy.image_encoder(seen.image)], dim=1))
         torch.testing.assert_close(policy.encode(observation)[spec.name], by_hand)
@@ -78,7 +79,8 @@ def test_a_domain_without_a_camera_has_zeros_in_its_place() -> None:
     policy = build(BLIND, LEFT)
     observation, task = inputs(BLIND, LEFT)
     seen = observation["blind"]
-    padded = torch.cat([policy.scaler(seen.state, "blind"), torch.eye(2)[0].expand(3, -1), torch.zeros(3, 5)], dim=1)
+    parts = (policy.scaler(seen.state, "blind"), torch.zeros(3, LEFT.state_size), torch.eye(2)[0].expand(3, -1))
+    padded = torch.cat([*parts, torch.zeros(3, 5)], dim=1)
     latent = policy.encode(observation)
     torch.testing.assert_close(latent["blind"], policy.encoder.net(padded))
     torch.testing.assert_close(policy.encode({"blind": seen})["blind"], latent["blind"])

@@ -31,7 +31,7 @@ def test_held_out_losses_are_means_over_all_held_out_steps(
     for domain, rows in data.rows(tiny.PROXIES, "held_out").items():
         steps = data.tables[domain].take(torch.from_numpy(rows))
         action = phase.policy({domain: steps.observation}, {domain: steps.task}).action[domain]
-        sums[domain] = (action - steps.action).square().sum().item()
+        sums[domain] = (action - steps.action).square().mean(dim=1).sum().item()
         counts[domain] = len(rows)
         assert logged(tmp_path / "log", f"val/bc_{domain}") == [pytest.approx(sums[domain] / counts[domain], rel=1e-4)]
     overall = sum(sums.values()) / sum(counts.values())

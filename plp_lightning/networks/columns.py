@@ -1,0 +1,45 @@
+"""Vectors of domains that differ in length, side by side or one over the other in a vector that all share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+Sharing = Literal["own", "shared"]
+
+
+class DomainColumns:
+    """Where the numbers of each domain stand in the vector that enters or leaves a shared network.
+
+    A network that reads column i of every domain with the same weights takes it for granted that they mean the
+    same. That helps where they do, and misleads the alignment where they don't: joint angles of two robots, axes
+    that are swapped. There each domain gets columns of its own, zero for all others.
+
+    Args:
+        sizes: Length of each domain's vector; the order is the domain id.
+        sharing: ``own`` columns for each domain, or columns ``shared`` by all, zero behind the end of short vectors.
+    """
+
+    def __init__(self, sizes: Mapping[str, int], sharing: Sharing) -> None:
+        own = sharing == "own"
+        starts = [sum([*sizes.values()][:i]) if own else 0 for i in range(len(sizes))]
+        self.slices = {d: slice(a, a + n) for a, (d, n) in zip(starts, sizes.items(), strict=True)}
+        self.width = max(columns.stop for columns in self.slices.values())
+
+    def take(self, x: Tensor, domain: str) -> Tensor:
+        """``(B, width)`` → the domain's ``(B, n)``."""
+        return x[:, self.slices[domain]]
+
+    def place(self, x: Tensor, domain: str) -> Tensor:
+        """The domain's ``(B, n)`` → ``(B, width + D)``: zeros elsewhere, and the one-hot domain id behind."""
+        placed = x.new_zeros(len(x), self.width + len(self.slices))
+        placed[:, self.slices[domain]] = x
+        placed[:, self.width + list(self.slices).index(domain)] = 1
+        return placed
+
+    def join(self, parts: Mapping[str, Tensor]) -> Tensor:
+        """Every domain's ``(B_d, n_d)``, one below the other: ``(Σ B_d, width + D)``."""
+        return torch.cat([self.place(x, domain) for domain, x in parts.items()])
