@@ -47,4 +47,4 @@ def _target(prediction: Tensor, image: Tensor) -> Tensor:
     pixels = image.float() / 255
     if found == wanted:
         return pixels
-    return functional.adaptive_avg_pool2d(pixels.permute(0, 3, 1, 2), wanted[1:3]).permute(0, 2, 3, 1)
+    return functional.adaptive_avg_pool2d(pixels.permute(0, 3, 1, 2), (wanted[1], wanted[2])).permute(0, 2, 3, 1)

@@ -1,6 +1,6 @@
 """A trajectory file whose images take more memory than its reader may have.
 
-Two domains of 24 demonstrations hold 141 MB of images; a reader gets 64 MiB beside what it has at its start.
+Two domains of 24 demonstrations hold 141 MB of images; a reader gets 96 MiB beside what it has at its start.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from datamodules.hdf5 import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
 
-SIDE, STEPS, EPISODES, ALLOWANCE = 128, 60, 24, 64 * 2**20
+SIDE, STEPS, EPISODES, ALLOWANCE = 128, 60, 24, 96 * 2**20
 PLENTY, LITTLE = 4.0, 1 / 64
 """GiB for images."""
 
