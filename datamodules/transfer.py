@@ -258,5 +258,5 @@ def _lack(path: Path, missing: Mapping[str, Mapping[str, int]]) -> str:
     total = sum(sum(t.values()) for t in missing.values())
     return (
         f"{path}: {total} demonstrations are missing (first: {count} of task {task!r} in domain {domain!r}) and the "
-        "experiment has no simulator and expert to collect them; import them or name another file with --data.path"
+        "experiment has no simulator and expert to collect them; import them or name another file with --data.file"
     )

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -88,12 +89,12 @@ class ExpertCollector:
         return [Job(domain, task, n, known.get(domain, frozenset())) for domain, task, n in pairs]
 
     def _collect(self, jobs: list[Job]) -> Iterator[Trajectory]:
-        total, processes = sum(job.count for job in jobs), self.recipe.processes or available_cores()
+        cores = available_cores()
+        total, processes = sum(job.count for job in jobs), min(self.recipe.processes or cores, len(jobs))
+        begin = partial(_begin_process, self.domains, max(1, cores // processes))
         with (
             JobProgress("collecting", total, "demonstrations") as progress,
-            ProcessPoolExecutor(
-                min(processes, len(jobs)), multiprocessing.get_context("spawn"), _begin_process, (self.domains,)
-            ) as pool,
+            ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin) as pool,
         ):
             futures: dict[Future[list[Trajectory]], Job] = {pool.submit(demonstrate, j, self.recipe): j for j in jobs}
             try:
@@ -102,7 +103,7 @@ class ExpertCollector:
                     progress.advance(len(made), f"{futures[future].domain} {futures[future].task}")
                     yield from made
             except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # no use in the rest if one task can't be had
+                pool.shutdown(cancel_futures=True)  # no use in the rest if one task can't be had
                 raise
 
     def _provenance(self) -> dict[str, object]:
@@ -111,11 +112,11 @@ class ExpertCollector:
         return {"command": command, "recipe": vars(self.recipe), "experts": experts, "versions": versions()}
 
 
-def _begin_process(domains: Mapping[str, Domain]) -> None:
-    """Physics of one process stays on one thread: the processes share the cores."""
+def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
+    """The processes share the cores; where tasks are fewer than cores, each gets several for its physics."""
     globals()["_domains"] = domains
     for domain in domains.values():
-        domain.simulator.threads = 1
+        domain.simulator.threads = threads
 
 
 def demonstrate(job: Job, recipe: Recipe) -> list[Trajectory]:

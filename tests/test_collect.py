@@ -45,7 +45,7 @@ class Recording(LinearPoint):
 
 
 def made(expert: Expert, job: Job, recipe: Recipe = RECIPE, simulator: Simulator | None = None) -> list[Trajectory]:
-    collect._begin_process({"flat": Domain(simulator or LinearPoint(1, 3), expert)})
+    collect._begin_process({"flat": Domain(simulator or LinearPoint(1, 3), expert)}, 1)
     return demonstrate(job, recipe)
 
 
@@ -136,7 +136,7 @@ def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
 def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
     simulator, expert = Recording(1, 3), LinearPointExpert()
     (shaken,) = made(expert, job(1), Recipe(noise=0.3, linger=0), simulator)[:1]
-    collect._begin_process({"flat": Domain(simulator, expert)})
+    collect._begin_process({"flat": Domain(simulator, expert)}, 1)
     simulator.executed = []
     again = collect._attempt(job(1), [shaken.seed], Recipe(noise=0.3, linger=0))[0]
     executed = np.stack(simulator.executed)

@@ -34,7 +34,7 @@ def domains() -> dict[str, Domain]:
 @cache
 def demonstrations(count: int) -> list[Trajectory]:
     """``count`` demonstrations of each task in each domain."""
-    collect._begin_process(domains())
+    collect._begin_process(domains(), 1)
     jobs = [Job(domain, task, count, frozenset()) for domain in domains() for task in TASKS]
     return [made for job in jobs for made in demonstrate(job, Recipe())]
 
