@@ -5,6 +5,7 @@ Two domains of 24 demonstrations hold 141 MB of images; a reader gets 96 MiB bes
 
 from __future__ import annotations
 
+import gc
 import itertools
 import multiprocessing.queues
 import resource
@@ -65,8 +66,13 @@ def read_within(path: Path, answers: multiprocessing.queues.Queue[str]) -> None:
         used = next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmData"))
     resource.setrlimit(resource.RLIMIT_DATA, (used + ALLOWANCE, used + ALLOWANCE))
     for image_memory in (PLENTY, LITTLE):
-        try:
-            answers.put(fingerprint_and_shown(path, image_memory))
-        except Exception as error:
-            cause = error.__cause__ or error
-            answers.put(f"{'MemoryError' if isinstance(cause, MemoryError) else type(cause).__name__}: {cause}")
+        answers.put(_attempt(path, image_memory))
+        gc.collect()  # a traceback holds what had been read before it
+
+
+def _attempt(path: Path, image_memory: float) -> str:
+    try:
+        return fingerprint_and_shown(path, image_memory)
+    except Exception as error:
+        cause = error.__cause__ or error
+        return f"{'MemoryError' if isinstance(cause, MemoryError) else type(cause).__name__}: {cause}"
