@@ -12,6 +12,7 @@ from command import METHODS, ROOT, TINY, complaint, plp
 
 from datamodules.hdf5 import write_trajectories
 from datamodules.types import Observation, Trajectory
+from plp_lightning.envs.tabletop import Tabletop
 from plp_lightning.experiment import Experiment
 from plp_lightning.verbs.config import BASE, parse
 
@@ -61,15 +62,20 @@ def invent_demonstrations(experiment: Experiment) -> None:
             for seed in range(count):
                 states = rng.normal(size=(20, spec.state_size)).astype(np.float32)
                 actions = rng.uniform(-1, 1, (20, spec.action_size)).astype(np.float32)
-                made.append(Trajectory(spec.name, task, Observation(states), actions, seed, success=True))
+                camera = spec.image_key
+                images = None if camera is None else rng.integers(0, 256, (20, *camera.shape), np.uint8)
+                made.append(Trajectory(spec.name, task, Observation(states, images), actions, seed, success=True))
     write_trajectories(experiment.data.path, specs, experiment.data.tasks, made, {"command": "tests"})
 
 
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_every_experiment_runs_in_miniature(path: Path, tmp_path: Path) -> None:
     words = ["--config", str(path), *TINY, "--data.root", str(tmp_path), "--run_root", str(tmp_path)]
-    for domain in parse(words).domains:
-        words += [f"--domains.{domain}.simulator.horizon", "5"]
+    words += ["--policy.init_args.image_channels", "[4, 8]", "--policy.init_args.image_features", "16"]
+    for name, domain in parse(words).domains.items():
+        words += [f"--domains.{name}.simulator.horizon", "5"]
+        if isinstance(domain.simulator, Tabletop):
+            words += [f"--domains.{name}.simulator.image_size", "16"]
     experiment = parse(words)
     invent_demonstrations(experiment)
     answer = plp("fit", *words)
