@@ -36,6 +36,8 @@ class Recipe:
         processes: Processes that collect; 0 means one for each core.
         linger: Control steps that are recorded after success, so that the end is held.
         noise: Standard deviation of noise on executed actions; the recorded action stays the expert's.
+        wander: Control steps of one random action before the expert takes over, which are not recorded, so that
+            demonstrations begin in many places.
         seed: Seed of all initial states. It is no part of a run's seed: runs share their data.
         attempts: Attempts for each wanted demonstration before the expert is called unfit.
     """
@@ -43,6 +45,7 @@ class Recipe:
     processes: int = 0
     linger: int = 5
     noise: float = 0.0
+    wander: int = 0
     seed: int = 0
     attempts: int = 3
 
@@ -144,9 +147,9 @@ def demonstrate(job: Job, recipe: Recipe) -> list[Trajectory]:
 def _attempt(job: Job, seeds: list[int], recipe: Recipe) -> list[Trajectory]:
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
-    recorder = Recorder(domain, tasks, seeds, recipe.noise)
+    recorder = Recorder(domain, tasks, seeds, recipe.noise, recipe.wander)
     episodes = rollout(domain.simulator, recorder.act, tasks, seeds, recipe.linger)
-    solved = np.flatnonzero(episodes.success)
+    solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.wander))
     return [
         Trajectory(job.domain, job.task, *recorder.episode(int(i)), seed=seeds[int(i)], success=True) for i in solved
     ]
@@ -160,17 +163,25 @@ class Recorder:
         tasks: Task of each episode.
         seeds: Seed of each episode, also of its noise.
         noise: Standard deviation of noise on the executed action.
+        wander: Control steps before the expert takes over, in which each episode repeats a random action.
     """
 
-    def __init__(self, domain: Domain, tasks: list[str], seeds: list[int], noise: float) -> None:
+    def __init__(self, domain: Domain, tasks: list[str], seeds: list[int], noise: float, wander: int = 0) -> None:
         assert domain.expert is not None
-        self.expert, self.noise = domain.expert, noise
+        self.expert, self.noise, self.wander = domain.expert, noise, wander
         self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
         self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
+        size = domain.simulator.spec("").action_size
+        drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in seeds]
+        self.drifts = np.array(drifts, dtype=np.float32)
         self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """The expert's actions, with noise if asked for."""
+        """The expert's actions, with noise if asked for; before it takes over, the episodes' own random ones."""
+        if self.wander > 0:
+            self.wander -= 1
+            drifting: np.ndarray = self.drifts[episodes]
+            return drifting
         if not self.steps:
             self.expert.begin(self.simulator, self.tasks, self.seeds)
         actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)

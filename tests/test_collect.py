@@ -150,6 +150,23 @@ def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
     assert np.abs(executed).max() <= 1
 
 
+def test_experts_take_over_where_they_were_driven_to() -> None:
+    simulator, expert = Recording(1, 3), LinearPointExpert()
+    still, driven = (made(expert, job(3), Recipe(wander=n, linger=0)) for n in (0, 4))
+    collect._begin_process({"flat": Domain(simulator, expert)}, 1)
+    again = collect._attempt(job(1), [driven[0].seed], Recipe(wander=4, linger=0))[0]
+    executed = np.stack(simulator.executed)
+    np.testing.assert_array_equal(again.actions, driven[0].actions)
+    np.testing.assert_array_equal(executed[:4], np.repeat(executed[:1], 4, axis=0))
+    np.testing.assert_array_equal(executed[4:], again.actions)
+    state = simulator.reset(["goal_1"], [again.seed]).state
+    for action in executed[:4]:
+        state = simulator.step(action[None], np.array([0])).observation.state
+    np.testing.assert_array_equal(again.observation.state[0], state[0])
+    starts = [np.ptp([t.observation.state[0] for t in found], axis=0) for found in (still, driven)]
+    assert (starts[1] > starts[0]).any()
+
+
 def test_without_noise_the_recorded_actions_lead_through_the_recorded_states() -> None:
     simulator = LinearPoint(1, 3)
     for trajectory in made(LinearPointExpert(), job(2), Recipe(noise=0.0)):
