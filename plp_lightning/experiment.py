@@ -37,6 +37,8 @@ class EvaluationPlan:
         latent_states: States of each domain in the picture of the latent space; 0 draws none.
         latent_every_n_epochs: Epochs between two of these pictures; 0 draws one at the end of a phase only.
         latent_pairs: Corresponding states that are joined in them.
+        reconstructions: Images of each domain in the picture of reconstructions; 0 draws none.
+        films: Episodes of the target task in each domain's film, failures first; 0 films none.
     """
 
     every_n_epochs: dict[str, int] = field(default_factory=dict)
@@ -46,6 +48,8 @@ class EvaluationPlan:
     latent_states: int = 500
     latent_every_n_epochs: int = 0
     latent_pairs: int = 20
+    reconstructions: int = 8
+    films: int = 6
 
 
 @dataclass(frozen=True)
@@ -115,8 +119,11 @@ class Experiment:
         return evaluate_all(policy, self.simulators, self.trials, episodes, seed, recorders)
 
     def alignment(self, policy: PortablePolicy) -> dict[str, float]:
-        """Alignment scores of a policy; empty if the experiment has no score."""
-        return {} if self.score is None else self.score(policy, self.data, self.simulators)
+        """Alignment scores of a policy at the end of a phase; empty if the experiment has no score."""
+        if self.score is None:
+            return {}
+        scores = self.score(policy, self.data, self.simulators)
+        return scores | self.score.of_target(policy, self.data, self.simulators)
 
 
 LEAST: Mapping[str, float] = {
@@ -129,6 +136,7 @@ LEAST: Mapping[str, float] = {
     "data.pairs": 1,
     "data.stride": 1,
     "data.mix": 0,
+    "data.image_memory": 0,
     "collection.attempts": 1,
     "policy.init_args.latent": 1,
     "policy.init_args.hidden": 1,
@@ -137,6 +145,8 @@ LEAST: Mapping[str, float] = {
     "evaluation.latent_states": 0,
     "evaluation.latent_every_n_epochs": 0,
     "evaluation.latent_pairs": 0,
+    "evaluation.reconstructions": 0,
+    "evaluation.films": 0,
     "trainer.max_epochs": 1,
 }
 """Smallest meaningful value of settings."""

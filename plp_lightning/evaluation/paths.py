@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from datamodules.types import DomainSpec, Observation
-from plp_lightning.envs.base import FloorPlan, Simulator, Step
+from datamodules.types import Observation
+from plp_lightning.envs.base import FloorPlan, Simulator
+from plp_lightning.evaluation.recorder import Recorder
 from plp_lightning.evaluation.simulation import Trial
 
 
@@ -23,7 +24,7 @@ class Paths:
     """``(E,)`` bool."""
 
 
-class PathRecorder(Simulator):
+class PathRecorder(Recorder):
     """Stands in for a simulator, does what it does, and keeps the positions of its newest episodes.
 
     Args:
@@ -32,43 +33,16 @@ class PathRecorder(Simulator):
     """
 
     def __init__(self, simulator: Simulator, plan: FloorPlan) -> None:
-        self.simulator, self.plan = simulator, plan
-        self.horizon, self.threads = simulator.horizon, simulator.threads
-
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """Those of the simulator."""
-        return self.simulator.tasks
-
-    def proxies(self, target: str) -> tuple[str, ...]:
-        """Those of the simulator."""
-        return self.simulator.proxies(target)
-
-    def spec(self, name: str) -> DomainSpec:
-        """That of the simulator."""
-        return self.simulator.spec(name)
-
-    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin episodes, and forget those before."""
-        observation = self.simulator.reset(tasks, seeds)
-        self._tasks = tuple(tasks)
-        self._success = np.zeros(len(tasks), dtype=bool)
-        self._positions: list[list[np.ndarray]] = [[] for _ in tasks]
-        self._keep(observation, np.arange(len(tasks)))
-        return observation
-
-    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Step the episodes, and keep where they are now."""
-        step = self.simulator.step(actions, episodes)
-        self._keep(step.observation, episodes)
-        # As in a rollout: solved once is solved, unless the simulation diverges later.
-        self._success[episodes] = (self._success[episodes] | step.success) & ~step.invalid
-        return step
+        super().__init__(simulator)
+        self.plan = plan
 
     @property
     def paths(self) -> Paths:
         """Of the episodes since the last reset."""
         return Paths(self._tasks, tuple(np.array(positions) for positions in self._positions), self._success.copy())
+
+    def _forget(self) -> None:
+        self._positions: list[list[np.ndarray]] = [[] for _ in self._tasks]
 
     def _keep(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
         places = self.simulator.shared_position(observation.state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -14,10 +14,12 @@ from datamodules.errors import ConfigError
 from datamodules.sampler import generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
-from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze import PointMaze
+from plp_lightning.envs.rollout import rollout
 from plp_lightning.evaluation.alignment import closeness, top_accuracy
 from plp_lightning.policy import PortablePolicy
+from plp_lightning.seeding import episode_seed
 
 SAMPLE = 7
 """Stream of random numbers for the states that are scored."""
@@ -31,6 +33,15 @@ class AlignmentScore(ABC):
         self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """Named scores, higher is better. Never reads the target task in the target domain."""
+
+    def of_target(
+        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+    ) -> dict[str, float]:
+        """Named scores on the target task, for the end of a phase alone: nothing is trained or chosen by them.
+
+        Their states are simulated for them and thrown away: no data file holds the target task in the target domain.
+        """
+        return {}
 
     def correspondences(
         self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
@@ -55,22 +66,49 @@ class ClosenessScore(AlignmentScore):
 
     Args:
         samples: States of each domain.
+        guide: Who shows the target task to both domains at the end of a phase, to score its states apart, as
+            the paper does for V2V-Open; None leaves that away.
+        guided_episodes: How many episodes that takes in each domain.
+
+    Raises:
+        ConfigError: If ``guided_episodes`` is not positive.
     """
 
-    def __init__(self, samples: int = 2000) -> None:
-        self.samples = samples
+    def __init__(self, samples: int = 2000, guide: Expert | None = None, guided_episodes: int = 24) -> None:
+        if guided_episodes < 1:
+            raise ConfigError(f"score.guided_episodes is {guided_episodes}; expected at least 1; raise it")
+        self.samples, self.guide, self.guided_episodes = samples, guide, guided_episodes
 
     def __call__(
         self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """``{"closeness": …}``."""
-        latents, positions = [], []
-        for domain in (data.source_domain, data.target_domain):
-            observation = sample_states(data, domain, self.samples)
-            latents.append(encode(policy, domain, observation))
-            place = simulators[domain].shared_position(observation.state.numpy())
-            positions.append(torch.from_numpy(place))
-        return {"closeness": float(closeness(latents[0], latents[1], positions[0], positions[1]))}
+        states = {d: sample_states(data, d, self.samples) for d in (data.source_domain, data.target_domain)}
+        return {"closeness": self._closeness(policy, simulators, states)}
+
+    def of_target(
+        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+    ) -> dict[str, float]:
+        """``{"closeness_target": …}``, or nothing without a guide."""
+        if self.guide is None:
+            return {}
+        states = {
+            domain: guided_states(
+                simulators[domain], self.guide, domain, data.target_tasks, self.guided_episodes, self.samples
+            )
+            for domain in (data.source_domain, data.target_domain)
+        }
+        return {"closeness_target": self._closeness(policy, simulators, states)}
+
+    def _closeness(
+        self,
+        policy: PortablePolicy,
+        simulators: Mapping[str, Simulator],
+        states: Mapping[str, Observation[Tensor]],
+    ) -> float:
+        latents = [encode(policy, domain, seen) for domain, seen in states.items()]
+        places = [torch.from_numpy(simulators[d].shared_position(seen.state.numpy())) for d, seen in states.items()]
+        return float(closeness(*latents, *places))
 
     def correspondences(
         self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
@@ -134,6 +172,36 @@ def sample_states(data: TransferDataModule, domain: str, count: int) -> Observat
     rows = np.sort(np.concatenate([data.rows(data.proxies, part)[domain] for part in data.parts]))
     chosen = generator(SAMPLE, list(data.domains).index(domain)).permutation(rows)[:count]
     return data.tables[domain].observation.take(torch.from_numpy(chosen))
+
+
+def guided_states(
+    simulator: Simulator, guide: Expert, domain: str, tasks: Sequence[str], episodes: int, count: int
+) -> Observation[Tensor]:
+    """``count`` states of an expert's episodes (all, if there are fewer), with seeds of their own, always the same.
+
+    Args:
+        simulator: The domain.
+        guide: Who acts.
+        domain: The domain's name.
+        tasks: Tasks that take turns.
+        episodes: How many.
+        count: States.
+    """
+    turns = [tasks[i % len(tasks)] for i in range(episodes)]
+    seeds = [episode_seed("score", 0, domain, task, i // len(tasks)) for i, task in enumerate(turns)]
+    seen: list[Observation[np.ndarray]] = []
+
+    def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
+        if not seen:
+            guide.begin(simulator, turns, seeds)
+        seen.append(observation)
+        return guide.act(observation, running)
+
+    rollout(simulator, act, turns, seeds)
+    images = [part.image for part in seen if part.image is not None]
+    joined = Observation(np.concatenate([part.state for part in seen]), np.concatenate(images) if images else None)
+    chosen = np.random.default_rng(SAMPLE).permutation(len(joined.state))[:count]
+    return joined.take(chosen).map(torch.from_numpy)
 
 
 @torch.inference_mode()

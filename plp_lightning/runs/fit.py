@@ -23,16 +23,15 @@ from plp_lightning.callbacks.evaluation import SimulatorEvaluation
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.callbacks.latent_picture import LatentPicture
-from plp_lightning.callbacks.picture import publish
 from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.callbacks.progress import PhaseProgress
-from plp_lightning.evaluation.path_figure import Panel, path_figure
-from plp_lightning.evaluation.paths import path_recorders
+from plp_lightning.callbacks.reconstruction_picture import ReconstructionPicture
 from plp_lightning.experiment import Experiment
 from plp_lightning.phases import Phase
 from plp_lightning.policy import PortablePolicy
 from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.episode_pictures import EpisodePictures
 from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.stopping import stoppable
@@ -180,23 +179,19 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list
     if plan.latent_states > 0:
         settings = plan.latent_states, plan.latent_every_n_epochs, plan.latent_pairs
         found.append(LatentPicture(*settings, experiment.score, simulators))
+    if plan.reconstructions > 0:
+        found.append(ReconstructionPicture(plan.reconstructions))
     folder, held_out = run.checkpoint(name).parent, experiment.data.held_out > 0
     return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(folder, held_out)]
 
 
 def assess(experiment: Experiment, policy: PortablePolicy, trainer: Trainer) -> dict[str, Any]:
-    """Success in all trials and alignment scores at the end of a phase; the target task's paths become a picture."""
+    """Success in all trials and alignment scores at the end of a phase; episodes of the target task are pictured."""
     policy.eval()
-    trials = {name: trial for name, trial in experiment.trials.items() if name in ("target", "source")}
-    recorders = path_recorders(experiment.simulators, trials)
-    outcomes = experiment.evaluate(policy, recorders=recorders)
-    panels = [
-        Panel(f"{experiment.data.target} in {name} domain: {trials[name].domain}", recorder.plan, recorder.paths)
-        for name, recorder in recorders.items()
-    ]
+    pictures = EpisodePictures.of(experiment)
+    outcomes = experiment.evaluate(policy, recorders=pictures.stages)
     scores = experiment.alignment(policy)
-    if panels:
-        publish(trainer, "paths", path_figure(panels))
+    pictures.publish(trainer)
     return {"trials": {name: found.to_dict() for name, found in outcomes.items()}, "alignment": scores}
 
 

@@ -8,9 +8,10 @@ from lightning.pytorch import Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from PIL import Image, ImageSequence
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from plp_lightning.callbacks.picture import DPI, pixels, publish
+from plp_lightning.callbacks.picture import DPI, FRAME_TIME, LAST_FRAME_TIME, pixels, publish, publish_film
 
 
 def test_pixels_are_the_picture() -> None:
@@ -42,4 +43,20 @@ def test_a_figure_goes_to_tensorboard_and_beside_it_in_place_of_the_older_one(
 
 def test_without_tensorboard_nothing_is_drawn(tmp_path: Path, make_trainer: Callable[..., Trainer]) -> None:
     publish(make_trainer(), "paths", Figure())
+    publish_film(make_trainer(), "film", [np.zeros((4, 4, 3), np.uint8)])
     assert not list(tmp_path.iterdir())
+
+
+def test_a_film_is_left_as_gif_with_all_its_frames(tmp_path: Path, make_trainer: Callable[..., Trainer]) -> None:
+    logger = TensorBoardLogger(tmp_path, name="alignment", version="")
+    frames = [np.full((6, 8, 3), colour, np.uint8) for colour in ((200, 0, 0), (0, 200, 0))] * 2
+    publish_film(make_trainer(logger=logger), "film", frames)
+    with Image.open(Path(logger.log_dir) / "film.gif") as film:
+        shown = [(np.asarray(frame.convert("RGB"))[0, 0].tolist(), frame.info["duration"]) for frame in _copies(film)]
+    expected = [[200, 0, 0], [0, 200, 0], [200, 0, 0], [0, 200, 0]]
+    assert shown == [*zip(expected, [FRAME_TIME] * 3 + [LAST_FRAME_TIME], strict=True)]
+    assert {file.suffix for file in Path(logger.log_dir).iterdir()} == {".gif", ".0"}
+
+
+def _copies(film: Image.Image) -> list[Image.Image]:
+    return [frame.copy() for frame in ImageSequence.Iterator(film)]
