@@ -14,12 +14,13 @@ from datamodules.hdf5 import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.maze import PointMaze
-from plp_lightning.envs.synthetic import LinearPoint
+from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.evaluation.scores import (
     AlignmentScore,
     ClosenessScore,
     PairAccuracy,
     encode,
+    guided_states,
     partners,
     sample_states,
 )
@@ -141,3 +142,41 @@ def test_true_pairs_are_known_for_point_mazes_alone(trajectory_file: Path) -> No
         PairAccuracy(50)(Oracle(blind=False), data, SIMULATORS)
     with pytest.raises(ConfigError, match="expected ClosenessScore for others"):
         PairAccuracy(50).correspondences(data, SIMULATORS, 20)
+
+
+def test_states_of_the_target_task_are_scored_apart(trajectory_file: Path) -> None:
+    data, guide = tiny.data_module(trajectory_file), LinearPointExpert()
+    scores = [ClosenessScore(400, guide, 60).of_target(Oracle(blind), data, SIMULATORS) for blind in (False, True)]
+    assert [[*score] for score in scores] == [["closeness_target"]] * 2
+    assert scores[0]["closeness_target"] > 0.95
+    assert scores[1]["closeness_target"] == pytest.approx(0.05, abs=0.05)
+    assert ClosenessScore(200).of_target(Oracle(blind=False), data, SIMULATORS) == {}
+    assert PairAccuracy(5).of_target(Oracle(blind=False), data, SIMULATORS) == {}
+
+
+def test_guided_states_are_those_of_the_experts_episodes_and_always_the_same() -> None:
+    simulator, guide = SeenPoint(1, image_size=9), LinearPointExpert()
+    few, again = (guided_states(simulator, guide, "left", ["red"], 3, 7) for _ in range(2))
+    everything = guided_states(simulator, guide, "left", ["red"], 3, 10**6)
+    assert few.image is not None
+    assert everything.image is not None
+    assert few.state.shape == (7, 4)
+    assert few.image.shape == (7, 9, 9, 3)
+    assert torch.equal(few.state, again.state)
+    assert torch.equal(few.image, again.image)
+    assert torch.equal(everything.image[:7], few.image)
+    # Three episodes from near the centre to a goal at distance 1.
+    distance = np.linalg.norm(simulator.shared_position(everything.state.numpy()), axis=1)
+    assert len(distance) > 3
+    assert distance.min() < 0.5 < distance.max() < 1.2
+
+
+def test_guided_states_of_a_domain_without_a_camera_have_no_images() -> None:
+    found = guided_states(LinearPoint(1), LinearPointExpert(), "flat", ["goal_0", "goal_1"], 3, 5)
+    assert found.image is None
+    assert len(found.state) == 5
+
+
+def test_a_guide_needs_an_episode() -> None:
+    with pytest.raises(ConfigError, match=r"score.guided_episodes is 0; expected at least 1"):
+        ClosenessScore(guided_episodes=0)

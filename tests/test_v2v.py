@@ -1,0 +1,92 @@
+"""V2V through the command line, in miniature: collected by its experts, trained, scored and pictured."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from command import ROOT, TINY, plp
+from matplotlib.image import imread
+from PIL import Image
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from datamodules.hdf5 import TrajectoryFile
+from plp_lightning.envs import rendering
+from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.metrics_file import read_rows
+from plp_lightning.verbs.config import parse
+
+pytestmark = pytest.mark.skipif(
+    not (rendering.works("egl") or rendering.works("osmesa")), reason="neither EGL nor OSMesa is installed"
+)
+SMALL = [
+    "--data.target_trajectories",
+    "1",
+    "--data.held_out",
+    "0",
+    "--adaptation.epochs",
+    "1",
+    "--alignment.epochs",
+    "1",
+]
+SMALL += ["--policy.init_args.image_channels", "[4, 8]", "--policy.init_args.image_features", "16"]
+SMALL += ["--evaluation.final_episodes", "2", "--collection.linger", "1", "--alignment.terms", "[mmd, tcc]"]
+PAGES = {
+    "v2v_reach": (("left", "right"), 2, 60, []),
+    "v2v_open": (("rear", "front"), 4, 110, ["--score.init_args.guided_episodes", "1"]),
+}
+"""Domains, demonstrations of proxy tasks, horizon, and further options."""
+
+
+@pytest.fixture(scope="module", params=PAGES)
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    """One demonstration of each task, one epoch of each phase."""
+    domains, proxies, horizon, further = PAGES[request.param]
+    root = str(tmp_path_factory.mktemp(request.param))
+    words = ["--config", str(ROOT / "configs" / f"{request.param}.yaml"), *TINY, *SMALL, *further]
+    words += ["--data.root", root, "--run_root", root, "--data.trajectories", str(proxies)]
+    for name in domains:
+        words += [f"--domains.{name}.simulator.image_size", "32", f"--domains.{name}.simulator.horizon", str(horizon)]
+    answer = plp("fit", *words)
+    assert answer.code == 0, answer
+    assert answer.err == ""
+    return RunDirectory(parse(words).run_path)
+
+
+def test_demonstrations_hold_images_and_no_target_task_of_the_target_domain(run: RunDirectory) -> None:
+    experiment = parse(["--config", str(run.config)])
+    data = experiment.data
+    with TrajectoryFile.open(data.path) as file:
+        counts = file.counts()
+        images = {domain: file.trajectory(domain, 0).observation.image for domain in data.domains}
+    proxies = dict.fromkeys(data.proxies, 1)
+    assert {d: {t: n for t, n in tasks.items() if n} for d, tasks in counts.items()} == {
+        data.source_domain: proxies | {data.target: 1},
+        data.target_domain: proxies,
+    }
+    for image in images.values():
+        assert image is not None
+        assert image.shape[1:] == (32, 32, 3)
+        assert image.std() > 10
+
+
+def test_states_of_opening_are_scored_at_the_end_of_phases_alone(run: RunDirectory) -> None:
+    scores = json.loads(run.results.read_text())["alignment"]
+    window = run.path.parts[-4] == "v2v_open"
+    assert {*scores} == ({"closeness", "closeness_target"} if window else {"closeness"})
+    assert all(0 <= value <= 1 for value in scores.values())
+    logged = {metric for _, metric, _ in read_rows(run.phase("alignment") / "metrics.csv")}
+    assert "alignment/closeness" in logged
+    assert "alignment/closeness_target" not in logged
+
+
+@pytest.mark.parametrize(("phase", "names"), [("alignment", {"film", "reconstructions"}), ("adaptation", {"film"})])
+def test_phases_leave_their_pictures(phase: str, names: set[str], run: RunDirectory) -> None:
+    events = EventAccumulator(str(run.phase(phase)))
+    events.Reload()
+    assert {*events.Tags()["images"]} == names
+    for name in names:
+        (shown,) = events.Images(name)
+        assert imread(run.phase(phase) / f"{name}.png").shape[:2] == (shown.height, shown.width)
+    with Image.open(run.phase(phase) / "film.gif") as film:
+        assert film.n_frames > 2
