@@ -51,6 +51,7 @@ def publish_film(trainer: Trainer, name: str, frames: Sequence[np.ndarray]) -> N
     times = [FRAME_TIME] * (len(images) - 1) + [LAST_FRAME_TIME]
     for logger in _tensorboards(trainer):
         folder = Path(logger.log_dir)
+        folder.mkdir(parents=True, exist_ok=True)
         with locked_folder(folder), replacing(folder / f"{name}.gif") as temporary:
             images[0].save(temporary, "GIF", save_all=True, append_images=images[1:], duration=times, loop=0)
 
