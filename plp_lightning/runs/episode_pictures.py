@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from lightning.pytorch import Trainer
 
 from plp_lightning.callbacks.picture import publish, publish_film
-from plp_lightning.envs.base import Simulator
 from plp_lightning.evaluation.film_figure import film_figure, film_frames
 from plp_lightning.evaluation.films import FilmRecorder, film_recorders
 from plp_lightning.evaluation.path_figure import Panel, path_figure
 from plp_lightning.evaluation.paths import PathRecorder, path_recorders
+from plp_lightning.evaluation.recorder import Recorder
 from plp_lightning.experiment import Experiment
 
 FILMED = 4
@@ -45,7 +45,7 @@ class EpisodePictures:
         return cls(titles, paths, film_recorders(experiment.simulators, trials, FILMED * shown, paths), shown)
 
     @property
-    def stages(self) -> dict[str, Simulator]:
+    def stages(self) -> dict[str, Recorder]:
         """By trial: who stands in for its simulator."""
         return {**self.paths, **self.films}
 
