@@ -144,8 +144,7 @@ class TransferDataModule(LightningDataModule):
         arrays = file.read(domain, chosen, images=False)
         index = {name: i for i, name in enumerate(self.tasks)}
         episode_task = np.array([index[name] for name in arrays.task])
-        spec = next(spec for spec in file.domains if spec.name == domain)
-        return build_table(spec, arrays.state, image, arrays.actions, arrays.offset, episode_task)
+        return build_table(file.spec(domain), arrays.state, image, arrays.actions, arrays.offset, episode_task)
 
     @property
     def specs(self) -> list[DomainSpec]:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -171,10 +171,14 @@ class Recorder:
         self.expert, self.noise, self.wander = domain.expert, noise, wander
         self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
         self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
-        size = domain.simulator.spec("").action_size
-        drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in seeds]
-        self.drifts = np.array(drifts, dtype=np.float32)
         self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
+
+    @cached_property
+    def drifts(self) -> np.ndarray:
+        """``(E, A)``: the random action of each episode before the expert takes over."""
+        size = self.simulator.spec("").action_size
+        drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in self.seeds]
+        return np.array(drifts, dtype=np.float32)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """The expert's actions, with noise if asked for; before it takes over, the episodes' own random ones."""

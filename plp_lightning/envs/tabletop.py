@@ -55,9 +55,18 @@ class Tabletop(Simulator):
 
     The action moves the point that the hand follows by up to 1 cm along x, y and z; its fourth number opens (negative)
     or closes (positive) the gripper. Control runs at 80 Hz.
+
+    Args:
+        view: From where the camera looks.
+        image_size: Height and width of the images, pixels.
+        horizon: Control steps after which an unsolved episode counts as failed.
+        threads: Threads that step and draw; 0 means one for each core.
+
+    Raises:
+        ConfigError: If an argument is out of its range.
     """
 
-    def __init__(self, view: View, image_size: int, horizon: int, threads: int) -> None:
+    def __init__(self, view: View, image_size: int = 64, horizon: int = 150, threads: int = 0) -> None:
         if view not in get_args(View):
             raise ConfigError(f"view is {view!r}; expected one of: {', '.join(get_args(View))}")
         if not 8 <= image_size <= 512:
@@ -166,19 +175,7 @@ class Reach(Tabletop):
 
     The first ball that the fingertips come near to counts: visiting them in turn solves nothing. Pictures and
     states of an episode do not depend on its task.
-
-    Args:
-        view: From where the camera looks.
-        image_size: Height and width of the images, pixels.
-        horizon: Control steps after which an unsolved episode counts as failed.
-        threads: Threads that step and draw; 0 means one for each core.
-
-    Raises:
-        ConfigError: If an argument is out of its range.
     """
-
-    def __init__(self, view: View, image_size: int = 64, horizon: int = 150, threads: int = 0) -> None:
-        super().__init__(view, image_size, horizon, threads)
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -219,20 +216,7 @@ class Reach(Tabletop):
 
 
 class Window(Tabletop):
-    """Close a window that stands in a known quarter of the table, or open one that stands anywhere on it.
-
-    Args:
-        view: From where the camera looks.
-        image_size: Height and width of the images, pixels.
-        horizon: Control steps after which an unsolved episode counts as failed.
-        threads: Threads that step and draw; 0 means one for each core.
-
-    Raises:
-        ConfigError: If an argument is out of its range.
-    """
-
-    def __init__(self, view: View, image_size: int = 64, horizon: int = 150, threads: int = 0) -> None:
-        super().__init__(view, image_size, horizon, threads)
+    """Close a window that stands in a known quarter of the table, or open one that stands anywhere on it."""
 
     @property
     def tasks(self) -> tuple[str, ...]:

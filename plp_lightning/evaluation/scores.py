@@ -18,8 +18,8 @@ from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze import PointMaze
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.evaluation.alignment import closeness, top_accuracy
+from plp_lightning.evaluation.simulation import Trial
 from plp_lightning.policy import PortablePolicy
-from plp_lightning.seeding import episode_seed
 
 SAMPLE = 7
 """Stream of random numbers for the states that are scored."""
@@ -187,8 +187,7 @@ def guided_states(
         episodes: How many.
         count: States.
     """
-    turns = [tasks[i % len(tasks)] for i in range(episodes)]
-    seeds = [episode_seed("score", 0, domain, task, i // len(tasks)) for i, task in enumerate(turns)]
+    turns, seeds = Trial(domain, tuple(tasks)).in_turn("score", 0, episodes)
     seen: list[Observation[np.ndarray]] = []
 
     def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:

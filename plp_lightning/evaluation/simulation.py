@@ -57,6 +57,11 @@ class Trial:
     domain: str
     tasks: tuple[str, ...]
 
+    def in_turn(self, purpose: str, seed: int, episodes: int) -> tuple[list[str], list[int]]:
+        """Task and seed of each episode; the tasks take turns."""
+        tasks = [self.tasks[i % len(self.tasks)] for i in range(episodes)]
+        return tasks, [episode_seed(purpose, seed, self.domain, t, i // len(self.tasks)) for i, t in enumerate(tasks)]
+
 
 def evaluate(policy: Acting, simulator: Simulator, trial: Trial, episodes: int, seed: int) -> Success:
     """Run ``episodes`` of a trial at once.
@@ -70,9 +75,7 @@ def evaluate(policy: Acting, simulator: Simulator, trial: Trial, episodes: int, 
         episodes: How many; tasks take turns.
         seed: Seed of the run.
     """
-    tasks = [trial.tasks[i % len(trial.tasks)] for i in range(episodes)]
-    indices = [i // len(trial.tasks) for i in range(episodes)]
-    seeds = [episode_seed("evaluate", seed, trial.domain, t, i) for t, i in zip(tasks, indices, strict=True)]
+    tasks, seeds = trial.in_turn("evaluate", seed, episodes)
 
     def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
         return policy.act(observation, trial.domain, [tasks[i] for i in running])
