@@ -15,9 +15,9 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from plp_lightning.envs import lift_model
-from plp_lightning.envs.lift import Lift, Robot
-from plp_lightning.envs.osc import STATE, SUBSTEPS
+from plp_lightning.envs.lift.model import robosuite_env
+from plp_lightning.envs.lift.osc import STATE, SUBSTEPS
+from plp_lightning.envs.lift.simulator import Lift, Robot
 from plp_lightning.envs.threads import available_cores
 from plp_lightning.experts.lift import LiftExpert
 
@@ -40,7 +40,7 @@ def stepping(robot: Robot, steps: int) -> dict[str, float]:
     rows = np.arange(27)
     for lift in lifts.values():
         lift.reset(lift.tasks, list(rows))
-    env = lift_model.robosuite_env(robot, joint_noise=0.05)
+    env = robosuite_env(robot, joint_noise=0.05)
     env.reset()
     physics = next(iter(lifts.values()))._physics
     assert physics is not None

@@ -14,9 +14,9 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from plp_lightning.envs.maze import PointMaze, WalkerMaze
-from plp_lightning.envs.maze_base import Maze
-from plp_lightning.envs.maze_rollout import STATE
+from plp_lightning.envs.maze.base import Maze
+from plp_lightning.envs.maze.rollout import STATE
+from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 
 BODIES: dict[str, tuple[Callable[[], Maze], int, str]] = {
     "point": (lambda: PointMaze("medium", frame="gymnasium"), 600, "PointMaze_Medium-v3"),

@@ -10,16 +10,15 @@ import argparse
 import time
 from collections.abc import Callable
 
-from plp_lightning.envs.rendering import choose_backend
+from plp_lightning.envs.rendering.backend import choose_backend
 
 choose_backend()  # mujoco.Renderer asks for it when MuJoCo is imported
 
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 
-from plp_lightning.envs.rendering_camera import Camera, Viewpoint, free_camera  # noqa: E402
-from plp_lightning.envs.tabletop import VIEWS, View  # noqa: E402
-from plp_lightning.envs.tabletop_model import (  # noqa: E402
+from plp_lightning.envs.rendering.camera import Camera, Viewpoint, free_camera  # noqa: E402
+from plp_lightning.envs.tabletop.model import (  # noqa: E402
     REACH_FILE,
     WINDOW_FILE,
     TabletopModel,
@@ -27,6 +26,7 @@ from plp_lightning.envs.tabletop_model import (  # noqa: E402
     read_scene,
     window_model,
 )
+from plp_lightning.envs.tabletop.simulator import VIEWS, View  # noqa: E402
 
 SIZE = 64
 SHARE = 10

@@ -12,7 +12,7 @@ from command import METHODS, ROOT, TINY, complaint, plp
 
 from datamodules.hdf5 import write_trajectories
 from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.tabletop import Tabletop
+from plp_lightning.envs.tabletop.simulator import Tabletop
 from plp_lightning.experiment import Experiment
 from plp_lightning.verbs.config import BASE, parse
 

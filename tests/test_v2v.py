@@ -11,13 +11,13 @@ from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from datamodules.hdf5 import TrajectoryFile
-from plp_lightning.envs import rendering
+from plp_lightning.envs.rendering import backend
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.metrics_file import read_rows
 from plp_lightning.verbs.config import parse
 
 pytestmark = pytest.mark.skipif(
-    not (rendering.works("egl") or rendering.works("osmesa")), reason="neither EGL nor OSMesa is installed"
+    not (backend.works("egl") or backend.works("osmesa")), reason="neither EGL nor OSMesa is installed"
 )
 SMALL = [
     "--data.target_trajectories",

@@ -1,4 +1,4 @@
-"""SIMULATORS: one file a family, stepped in batches behind one small interface; importing them is cheap."""
+"""SIMULATORS: one folder a family, stepped in batches behind one small interface; importing them is cheap."""
 
 from plp_lightning.envs.base import Domain, Expert, Simulator
 from plp_lightning.envs.lift import Lift

@@ -15,7 +15,7 @@ from datamodules.sampler import generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
-from plp_lightning.envs.maze import PointMaze
+from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.evaluation.alignment import closeness, top_accuracy
 from plp_lightning.evaluation.simulation import Trial

@@ -25,7 +25,8 @@ class Symmetry:
     lies there, and the torques for them are handed back to the legs they belong to.
 
     Args:
-        legs: Number of legs, n; joints and motors in the order of :func:`plp_lightning.envs.walker_model.walker_mjcf`.
+        legs: Number of legs, n; joints and motors in the order of
+            :func:`plp_lightning.envs.maze.walker_model.walker_mjcf`.
     """
 
     def __init__(self, legs: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
-from plp_lightning.envs.lift import Lift
+from plp_lightning.envs.lift.simulator import Lift
 
 GAIN = 3.0
 """Of the way to the goal, the share covered in one control step at most: 1 is slow, 10 chatters."""

@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv
 
-from plp_lightning.envs.maze_rollout import BatchedPhysics
-from plp_lightning.envs.walker_model import walker_mjcf
+from plp_lightning.envs.maze.rollout import BatchedPhysics
+from plp_lightning.envs.maze.walker_model import walker_mjcf
 from plp_lightning.experts.gait import Symmetry
 
 HORIZON = 500

@@ -13,7 +13,7 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
-from plp_lightning.envs.tabletop import Reach, Window
+from plp_lightning.envs.tabletop.simulator import Reach, Window
 
 REACH_GAIN = 5.0
 """Action for each metre to the ball."""

@@ -10,7 +10,7 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
-from plp_lightning.envs.maze import WalkerMaze
+from plp_lightning.envs.maze.simulator import WalkerMaze
 from plp_lightning.experts.gait import TRAIN, Gait, gait_path
 from plp_lightning.experts.waypoint import Guide
 

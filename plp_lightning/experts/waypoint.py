@@ -9,8 +9,8 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
-from plp_lightning.envs.maze import PointMaze
-from plp_lightning.envs.maze_base import Maze
+from plp_lightning.envs.maze.base import Maze
+from plp_lightning.envs.maze.simulator import PointMaze
 
 
 class Guide:

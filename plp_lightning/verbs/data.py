@@ -41,7 +41,7 @@ def _add_d4rl(formats: argparse._SubParsersAction[OptionParser]) -> None:
 
 
 def _import_d4rl(options: argparse.Namespace) -> None:
-    from plp_lightning.envs.maze import PointMaze
+    from plp_lightning.envs.maze.simulator import PointMaze
     from plp_lightning.verbs.importing import import_d4rl
 
     maze = PointMaze(options.layout, options.swap_axes, options.negate_actions)

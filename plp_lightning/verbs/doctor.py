@@ -12,8 +12,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from datamodules.errors import UserError
-from plp_lightning.envs.rendering import Backend
-from plp_lightning.envs.rendering_speed import frames_per_second
+from plp_lightning.envs.rendering.backend import Backend
+from plp_lightning.envs.rendering.speed import frames_per_second
 from plp_lightning.envs.threads import available_cores
 from plp_lightning.verbs.options import OptionParser
 from plp_lightning.versions import PACKAGES, versions

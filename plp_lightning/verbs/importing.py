@@ -15,7 +15,7 @@ from datamodules.formats.d4rl import Segment, Walk, read_walk, split_walk
 from datamodules.formats.source import describe_source
 from datamodules.hdf5 import add_trajectories
 from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.maze import PointMaze
+from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.versions import versions
 
 SHORTEST = 10

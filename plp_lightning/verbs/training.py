@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from datamodules.errors import ConfigError
-from plp_lightning.envs.maze import WalkerMaze
+from plp_lightning.envs.maze.simulator import WalkerMaze
 from plp_lightning.experiment import Experiment
 from plp_lightning.progress import JobProgress
 

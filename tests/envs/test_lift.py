@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from datamodules.errors import UserError
-from plp_lightning.envs.lift import TASKS, Lift, Robot
+from plp_lightning.envs.lift.simulator import TASKS, Lift, Robot
 
 ROOT = Path(__file__).parents[2]
 ROBOTS: tuple[Robot, ...] = get_args(Robot)
@@ -96,7 +96,7 @@ def test_import_is_light_and_the_build_leaves_no_trace(tmp_path: Path) -> None:
     script = """
         import os, sys
         os.environ.pop("MUJOCO_GL", None)
-        from plp_lightning.envs.lift import Lift
+        from plp_lightning.envs.lift.simulator import Lift
         import plp_lightning.experts.lift
         heavy = {"mujoco", "robosuite", "numba", "torch"} & set(sys.modules)
         assert not heavy, heavy
@@ -113,8 +113,8 @@ def test_import_is_light_and_the_build_leaves_no_trace(tmp_path: Path) -> None:
 
 def robosuite_twin(lift: Lift) -> Any:
     """robosuite's environment in the state of the simulator's first episode, hand pointing down."""
-    from plp_lightning.envs.lift_model import robosuite_env
-    from plp_lightning.envs.osc import DOWN, STATE
+    from plp_lightning.envs.lift.model import robosuite_env
+    from plp_lightning.envs.lift.osc import DOWN, STATE
 
     assert lift._physics is not None
     episodes, env = lift._physics.episodes, robosuite_env(lift.robot)

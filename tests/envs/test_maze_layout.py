@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datamodules.errors import ConfigError
-from plp_lightning.envs.maze_layout import LAYOUTS, Cell, Frame, Layout, MazeTask
+from plp_lightning.envs.maze.layout import LAYOUTS, Cell, Frame, Layout, MazeTask
 
 
 def walk(layout: Layout, task: MazeTask, start: Cell) -> list[Cell]:

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from plp_lightning.envs.maze_rollout import BatchedPhysics
-from plp_lightning.envs.walker_model import Box, walker_mjcf
+from plp_lightning.envs.maze.rollout import BatchedPhysics
+from plp_lightning.envs.maze.walker_model import Box, walker_mjcf
 
 WALL = Box(1.2, 0.0, 0.5, 0.5)
 

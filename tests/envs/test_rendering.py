@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 from datamodules.errors import UserError
-from plp_lightning.envs import rendering, rendering_camera, tabletop_physics
-from plp_lightning.envs.rendering import choose_backend, works
-from plp_lightning.envs.rendering_camera import Camera, Viewpoint
-from plp_lightning.envs.tabletop import VIEWS, View, Window
-from plp_lightning.envs.tabletop_model import WINDOW_FILE, read_scene
+from plp_lightning.envs.rendering import backend, camera
+from plp_lightning.envs.rendering.backend import choose_backend, works
+from plp_lightning.envs.rendering.camera import Camera, Viewpoint
+from plp_lightning.envs.tabletop import physics
+from plp_lightning.envs.tabletop.model import WINDOW_FILE, read_scene
+from plp_lightning.envs.tabletop.simulator import VIEWS, View, Window
 
 ROOT = Path(__file__).parents[2]
 SCENE = """
@@ -46,7 +47,7 @@ drawn = pytest.mark.skipif(not (works("egl") or works("osmesa")), reason="neithe
     ],
 )
 def test_backend(working: set[str], explicit: str | None, chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "works", lambda backend: backend in working)
+    monkeypatch.setattr(backend, "works", lambda backend: backend in working)
     monkeypatch.setenv("MUJOCO_GL", explicit or "")
     monkeypatch.delenv("LP_NUM_THREADS", raising=False)
     if explicit is None:
@@ -56,7 +57,7 @@ def test_backend(working: set[str], explicit: str | None, chosen: str, monkeypat
 
 
 def test_without_any_backend_the_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "works", lambda _: False)
+    monkeypatch.setattr(backend, "works", lambda _: False)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     with pytest.raises(UserError, match=r"^images cannot be drawn: .* apt-get install libegl1 libgl1-mesa-dri$"):
         choose_backend()
@@ -83,7 +84,7 @@ def test_a_context_that_cannot_be_made_is_a_users_error(monkeypatch: pytest.Monk
     def refuse(name: str) -> None:
         raise AttributeError("'NoneType' object has no attribute 'eglQueryString'")  # what PyOpenGL says
 
-    monkeypatch.setattr(rendering_camera, "choose_backend", lambda: "osmesa")
+    monkeypatch.setattr(camera, "choose_backend", lambda: "osmesa")
     monkeypatch.setattr(importlib, "import_module", refuse)
     with pytest.raises(UserError, match=r"osmesa does not work on this machine; .* apt-get install libosmesa6"):
         Camera(mujoco.MjModel.from_xml_string(SCENE), Viewpoint(90, 0, 3), 16)
@@ -114,7 +115,7 @@ def full_data(window: Window, episode: int, shipped: mujoco.MjModel) -> mujoco.M
     assert window._physics is not None
     scene, data = window._physics.scene, mujoco.MjData(shipped)
     ours = mujoco.MjData(scene.model)
-    mujoco.mj_setState(scene.model, ours, window._physics.states[episode], tabletop_physics.STATE)
+    mujoco.mj_setState(scene.model, ours, window._physics.states[episode], physics.STATE)
     shipped.body("window").pos = ours.mocap_pos[scene.furniture[0]]
     data.qpos = ours.qpos
     mujoco.mj_forward(shipped, data)
@@ -140,12 +141,12 @@ def test_pictures_with_fewer_triangles_look_alike(view: View) -> None:
 def test_pictures_are_close_to_the_default_renderers() -> None:
     """MuJoCo's own renderer, shadows, reflections and all; it has to be asked in a fresh process."""
     script = """
-        from plp_lightning.envs.rendering import choose_backend
+        from plp_lightning.envs.rendering.backend import choose_backend
         choose_backend()
         import mujoco
         import numpy as np
         from test_rendering import WINDOW_FILE, Viewpoint, Window, VIEWS, full_data, read_scene
-        from plp_lightning.envs.rendering_camera import free_camera
+        from plp_lightning.envs.rendering.camera import free_camera
 
         window, shipped = Window("front", threads=1), read_scene(WINDOW_FILE).compile()
         light = window.reset(["open"], [0]).image[0].astype(int)

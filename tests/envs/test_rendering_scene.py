@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from plp_lightning.envs.rendering_scene import HIDDEN, MOST_FACES, decimate, lighten
-from plp_lightning.envs.tabletop_model import REACH_FILE, UNSEEN, WINDOW_FILE, read_scene
+from plp_lightning.envs.rendering.scene import HIDDEN, MOST_FACES, decimate, lighten
+from plp_lightning.envs.tabletop.model import REACH_FILE, UNSEEN, WINDOW_FILE, read_scene
 
 SQUARE = np.array([[0.1, 0.1, 0.0], [0.3, 0.2, 0.0], [2.5, 0.5, 0.0], [2.5, 2.5, 0.0], [0.5, 2.5, 0.0]])
 FACES = np.array([[0, 2, 3], [1, 3, 4], [0, 1, 2]])

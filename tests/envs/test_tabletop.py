@@ -15,14 +15,23 @@ import numpy as np
 import pytest
 
 from datamodules.errors import UserError
-from plp_lightning.envs import rendering
-from plp_lightning.envs.tabletop import AREAS, REACH_HAND, SLOTS, WINDOW_AREA, WINDOW_HAND, Reach, Tabletop, Window
+from plp_lightning.envs.rendering import backend
+from plp_lightning.envs.tabletop.simulator import (
+    AREAS,
+    REACH_HAND,
+    SLOTS,
+    WINDOW_AREA,
+    WINDOW_HAND,
+    Reach,
+    Tabletop,
+    Window,
+)
 
 ROOT = Path(__file__).parents[2]
 EPISODES = [("red", 3), ("blue", 3), ("green", 8), ("red", 0), ("blue", 5)]
 
 drawn = pytest.mark.skipif(
-    not (rendering.works("egl") or rendering.works("osmesa")), reason="neither EGL nor OSMesa is installed"
+    not (backend.works("egl") or backend.works("osmesa")), reason="neither EGL nor OSMesa is installed"
 )
 
 
@@ -93,7 +102,7 @@ def test_pickles_before_the_first_reset() -> None:
 def test_import_is_light_and_the_end_is_silent(tmp_path: Path) -> None:
     script = """
         import sys
-        from plp_lightning.envs.tabletop import Reach
+        from plp_lightning.envs.tabletop.simulator import Reach
         import plp_lightning.experts.tabletop
         heavy = {"mujoco", "OpenGL", "metaworld", "gymnasium", "torch"} & set(sys.modules)
         assert not heavy, heavy

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from datamodules.types import Observation
-from plp_lightning.envs import rendering, tabletop_physics
+from plp_lightning.envs.rendering import backend
 from plp_lightning.envs.rollout import Episodes, rollout
-from plp_lightning.envs.tabletop import AREAS, SLOTS, WINDOW_AREA, Reach, Tabletop, Window
+from plp_lightning.envs.tabletop import physics
+from plp_lightning.envs.tabletop.simulator import AREAS, SLOTS, WINDOW_AREA, Reach, Tabletop, Window
 from plp_lightning.experts.tabletop import ReachExpert, WindowExpert, push, reach
 
 
@@ -28,8 +29,8 @@ class NoCamera:
 
 @pytest.fixture(autouse=True)
 def _no_images(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "choose_backend", lambda: "egl")
-    monkeypatch.setattr(tabletop_physics, "Camera", NoCamera)
+    monkeypatch.setattr(backend, "choose_backend", lambda: "egl")
+    monkeypatch.setattr(physics, "Camera", NoCamera)
 
 
 def metaworld_env(simulator: Tabletop, task: str, row: int) -> Any:
@@ -61,7 +62,7 @@ def start_of(simulator: Tabletop, row: int) -> mujoco.MjData:
     assert simulator._physics is not None
     model = simulator._physics.scene.model
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, simulator._physics.states[row], tabletop_physics.STATE)
+    mujoco.mj_setState(model, data, simulator._physics.states[row], physics.STATE)
     return data
 
 

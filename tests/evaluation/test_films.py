@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datamodules.types import Observation
-from plp_lightning.envs.maze import PointMaze
+from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.evaluation.film_figure import BORDER, CAPTION, IMAGES, TILE, film_figure, film_frames, strip

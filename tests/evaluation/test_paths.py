@@ -7,7 +7,7 @@ import pytest
 
 from datamodules.types import Observation
 from plp_lightning.envs.base import FloorPlan, Simulator, Step
-from plp_lightning.envs.maze import PointMaze, WalkerMaze
+from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.rollout import Episodes, rollout
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.evaluation.paths import PathRecorder, Paths, path_recorders

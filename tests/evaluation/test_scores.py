@@ -13,7 +13,7 @@ from datamodules.errors import ConfigError
 from datamodules.hdf5 import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.maze import PointMaze
+from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.evaluation.scores import (
     AlignmentScore,

@@ -10,7 +10,7 @@ import pytest
 from datamodules.errors import UserError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator
-from plp_lightning.envs.lift import Lift, Robot
+from plp_lightning.envs.lift.simulator import Lift, Robot
 from plp_lightning.experts.lift import LiftExpert
 
 OPEN = {"Sawyer": 0.0112, "UR5e": -0.027}

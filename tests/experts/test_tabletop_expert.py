@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from datamodules.errors import UserError
-from plp_lightning.envs import rendering, tabletop_physics
 from plp_lightning.envs.base import Expert, Simulator
-from plp_lightning.envs.tabletop import Reach, Tabletop, Window
+from plp_lightning.envs.rendering import backend
+from plp_lightning.envs.tabletop import physics
+from plp_lightning.envs.tabletop.simulator import Reach, Tabletop, Window
 from plp_lightning.experts.tabletop import ReachExpert, WindowExpert, push, reach
 
 COUNT = 200
@@ -67,9 +68,9 @@ def test_other_simulators_are_refused(expert: Expert, wanted: str) -> None:
 
 @pytest.mark.parametrize(("simulator", "expert"), [(Reach("front"), ReachExpert()), (Window("front"), WindowExpert())])
 def test_solves_every_task(simulator: Tabletop, expert: Expert, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "choose_backend", lambda: "egl")
-    monkeypatch.setattr(tabletop_physics.Camera, "__init__", lambda *_: None)
-    monkeypatch.setattr(tabletop_physics.Camera, "image", lambda *_: None)
+    monkeypatch.setattr(backend, "choose_backend", lambda: "egl")
+    monkeypatch.setattr(physics.Camera, "__init__", lambda *_: None)
+    monkeypatch.setattr(physics.Camera, "image", lambda *_: None)
     tasks = list(simulator.tasks) * (15 // len(simulator.tasks))
     observation = simulator.reset(tasks, range(15))
     expert.begin(simulator, tasks, range(15))

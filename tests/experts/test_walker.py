@@ -8,9 +8,9 @@ import pytest
 from safetensors.numpy import save_file
 
 from datamodules.errors import CheckpointError, ConfigError
-from plp_lightning.envs.maze import PointMaze, WalkerMaze
-from plp_lightning.envs.maze_rollout import BatchedPhysics
-from plp_lightning.envs.walker_model import walker_mjcf
+from plp_lightning.envs.maze.rollout import BatchedPhysics
+from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
+from plp_lightning.envs.maze.walker_model import walker_mjcf
 from plp_lightning.experts.gait import Gait, Symmetry, gait_path, provenance
 from plp_lightning.experts.walker import WalkerExpert
 

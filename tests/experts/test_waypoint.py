@@ -6,8 +6,8 @@ import pytest
 from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert
-from plp_lightning.envs.maze import PointMaze, WalkerMaze
-from plp_lightning.envs.maze_base import Maze
+from plp_lightning.envs.maze.base import Maze
+from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.experts.waypoint import Guide, WaypointExpert
 
 

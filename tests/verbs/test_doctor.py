@@ -11,9 +11,9 @@ import pytest
 
 from datamodules.errors import UserError
 from plp_lightning.cli import find_verb
-from plp_lightning.envs import rendering_speed
-from plp_lightning.envs.rendering import Backend, missing, works
-from plp_lightning.envs.rendering_speed import frames_per_second
+from plp_lightning.envs.rendering import speed
+from plp_lightning.envs.rendering.backend import Backend, missing, works
+from plp_lightning.envs.rendering.speed import frames_per_second
 from plp_lightning.verbs import doctor
 from plp_lightning.verbs.doctor import run_doctor
 
@@ -86,7 +86,7 @@ def test_a_driver_that_crashes_is_a_backend_that_does_not_work(monkeypatch: pyte
             future.set_exception(BrokenProcessPool("terminated abruptly"))
             return future
 
-    monkeypatch.setattr(rendering_speed, "ProcessPoolExecutor", Crashing)
+    monkeypatch.setattr(speed, "ProcessPoolExecutor", Crashing)
     with pytest.raises(UserError, match="osmesa does not work on this machine"):
         frames_per_second("osmesa")
 

@@ -10,7 +10,7 @@ import pytest
 from command import ROOT, TINY, complaint, plp
 
 from datamodules.hdf5 import TrajectoryFile
-from plp_lightning.envs.maze import PointMaze
+from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.verbs.config import parse
 
 UMAZE = ROOT / "configs" / "p2p_umaze.yaml"

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from datamodules.errors import UserError
-from plp_lightning.envs.rendering_scene import HIDDEN, lighten
+from plp_lightning.envs.rendering.scene import HIDDEN, lighten
 
 REACH_FILE = "sawyer_reach_v3.xml"
 WINDOW_FILE = "sawyer_window_horizontal.xml"

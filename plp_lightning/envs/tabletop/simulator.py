@@ -20,8 +20,8 @@ from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.threads import available_cores
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.tabletop_model import TabletopModel
-    from plp_lightning.envs.tabletop_physics import Layout, TabletopPhysics
+    from plp_lightning.envs.tabletop.model import TabletopModel
+    from plp_lightning.envs.tabletop.physics import Layout, TabletopPhysics
 
 View = Literal["front_left", "front_right", "front", "rear"]
 
@@ -150,11 +150,11 @@ class Tabletop(Simulator):
         return self._physics
 
     def _build(self) -> TabletopPhysics:
-        from plp_lightning.envs.rendering import choose_backend
+        from plp_lightning.envs.rendering.backend import choose_backend
 
         choose_backend()  # before MuJoCo is imported, which asks for it then
-        from plp_lightning.envs.rendering_camera import Viewpoint
-        from plp_lightning.envs.tabletop_physics import TabletopPhysics
+        from plp_lightning.envs.rendering.camera import Viewpoint
+        from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
         viewpoint = Viewpoint(*VIEWS[self.view])
         return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads or available_cores())
@@ -192,12 +192,12 @@ class Reach(Tabletop):
         return "V2V-Reach"
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
-        from plp_lightning.envs.tabletop_physics import Layout
+        from plp_lightning.envs.tabletop.physics import Layout
 
         return Layout(stream.uniform(*REACH_HAND), SLOTS[stream.permutation(len(SLOTS))], PUCK)
 
     def _scene(self) -> TabletopModel:
-        from plp_lightning.envs.tabletop_model import reach_model
+        from plp_lightning.envs.tabletop.model import reach_model
 
         return reach_model(self.image_size)
 
@@ -233,7 +233,7 @@ class Window(Tabletop):
         return "V2V-Open"
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
-        from plp_lightning.envs.tabletop_physics import Layout
+        from plp_lightning.envs.tabletop.physics import Layout
 
         hand, share = stream.uniform(*WINDOW_HAND), stream.uniform(size=2)
         if task != "open":
@@ -242,7 +242,7 @@ class Window(Tabletop):
         return Layout(hand, np.array([[*place, WINDOW_Z]]), np.array([0.0 if task == "open" else SLIDE]))
 
     def _scene(self) -> TabletopModel:
-        from plp_lightning.envs.tabletop_model import window_model
+        from plp_lightning.envs.tabletop.model import window_model
 
         return window_model(self.image_size)
 

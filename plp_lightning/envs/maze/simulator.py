@@ -8,9 +8,9 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from datamodules.types import ObservationKey
-from plp_lightning.envs.maze_base import FrameName, LayoutName, Maze
-from plp_lightning.envs.maze_layout import Frame
-from plp_lightning.envs.walker_model import Box, walker_mjcf, wall_geoms
+from plp_lightning.envs.maze.base import FrameName, LayoutName, Maze
+from plp_lightning.envs.maze.layout import Frame
+from plp_lightning.envs.maze.walker_model import Box, walker_mjcf, wall_geoms
 
 
 class PointMaze(Maze):

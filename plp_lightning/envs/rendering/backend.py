@@ -25,7 +25,7 @@ def choose_backend() -> Backend:
     """The backend to draw with, also left in ``MUJOCO_GL`` for whatever imports MuJoCo later.
 
     A value that ``MUJOCO_GL`` has already is taken as it is. Call this before MuJoCo is imported if
-    ``mujoco.Renderer`` is to be used too; :class:`~plp_lightning.envs.rendering_camera.Camera` works in any order.
+    ``mujoco.Renderer`` is to be used too; :class:`~plp_lightning.envs.rendering.camera.Camera` works in any order.
 
     Raises:
         UserError: If ``MUJOCO_GL`` names a backend that needs a screen, or nothing works.

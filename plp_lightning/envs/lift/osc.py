@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from numba import types
 
-from plp_lightning.envs.lift_state import Arm, Episodes, Workspace
+from plp_lightning.envs.lift.state import Arm, Episodes, Workspace
 
 P = ParamSpec("P")
 R = TypeVar("R")

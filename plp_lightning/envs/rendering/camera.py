@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from datamodules.errors import UserError
-from plp_lightning.envs.rendering import choose_backend, missing
+from plp_lightning.envs.rendering.backend import choose_backend, missing
 
 _OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
 

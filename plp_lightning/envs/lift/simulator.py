@@ -2,7 +2,7 @@
 
 The block's place is one of 27: a grid of three by three positions on the table and three heights, held by
 a pedestal. The robots are robosuite's (https://robosuite.ai), and so is the physics of every step; only
-the Python between the steps is gone (see :mod:`plp_lightning.envs.osc`).
+the Python between the steps is gone (see :mod:`plp_lightning.envs.lift.osc`).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from plp_lightning.envs.threads import available_cores
 if TYPE_CHECKING:
     import mujoco
 
-    from plp_lightning.envs.lift_model import LiftModel
-    from plp_lightning.envs.lift_state import Arm, Episodes, Workspace
+    from plp_lightning.envs.lift.model import LiftModel
+    from plp_lightning.envs.lift.state import Arm, Episodes, Workspace
 
 Robot = Literal["Sawyer", "UR5e"]
 
@@ -153,8 +153,8 @@ class _Physics:
     def __init__(self, robot: Robot, threads: int) -> None:
         import mujoco
 
-        from plp_lightning.envs.lift_model import LiftModel
-        from plp_lightning.envs.lift_state import Workspace
+        from plp_lightning.envs.lift.model import LiftModel
+        from plp_lightning.envs.lift.state import Workspace
 
         self.lift: LiftModel = LiftModel.build(robot)
         self.arm: Arm = self.lift.arm
@@ -168,8 +168,8 @@ class _Physics:
         """Begin an episode for each row of ``blocks (E, 3)`` and ``noise (E, n)``; observations ``(E, O)``."""
         import mujoco
 
-        from plp_lightning.envs.lift_state import Episodes
-        from plp_lightning.envs.osc import STATE, observe
+        from plp_lightning.envs.lift.osc import STATE, observe
+        from plp_lightning.envs.lift.state import Episodes
 
         count, lift, data, work = len(blocks), self.lift, self.data[0], self.workspaces[0]
         size = 3 * len(lift.arm.qpos) + 7 + 2 * len(lift.arm.finger_qpos)
@@ -215,7 +215,7 @@ class _Physics:
         return Step(Observation(self.episodes.observation[rows]), success, invalid)
 
     def _work(self, worker: int, queue: deque[int], rows: np.ndarray, actions: np.ndarray, invalid: np.ndarray) -> None:
-        from plp_lightning.envs.osc import step_episode
+        from plp_lightning.envs.lift.osc import step_episode
 
         work = self.workspaces[worker]
         while queue:

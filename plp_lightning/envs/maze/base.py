@@ -11,11 +11,11 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import FloorPlan, Simulator, Step
-from plp_lightning.envs.maze_layout import LAYOUTS, Frame
-from plp_lightning.envs.walker_model import Box
+from plp_lightning.envs.maze.layout import LAYOUTS, Frame
+from plp_lightning.envs.maze.walker_model import Box
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.maze_rollout import BatchedPhysics
+    from plp_lightning.envs.maze.rollout import BatchedPhysics
 
 LayoutName = Literal["umaze", "medium"]
 FrameName = Literal["d4rl", "gymnasium"]
@@ -154,7 +154,7 @@ class Maze(Simulator):
     def _build(self) -> BatchedPhysics:
         import mujoco  # with numba half a second, which listing tasks need not pay
 
-        from plp_lightning.envs.maze_rollout import BatchedPhysics
+        from plp_lightning.envs.maze.rollout import BatchedPhysics
 
         centres = self.frame.centres(np.array(self.layout.walls)).tolist()
         walls = [Box(x, y, self.scale / 2, self._wall_height / 2) for x, y in centres]

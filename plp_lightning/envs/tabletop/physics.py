@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from datamodules.types import Observation
-from plp_lightning.envs.rendering_camera import Camera, Viewpoint
-from plp_lightning.envs.tabletop_model import TabletopModel
+from plp_lightning.envs.rendering.camera import Camera, Viewpoint
+from plp_lightning.envs.tabletop.model import TabletopModel
 
 STATE = int(
     mujoco.mjtState.mjSTATE_FULLPHYSICS

@@ -9,7 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
 from datamodules.errors import UserError
-from plp_lightning.envs.rendering import Backend, missing
+from plp_lightning.envs.rendering.backend import Backend, missing
 
 
 def frames_per_second(backend: Backend, seconds: float = 1.0) -> float:
@@ -33,9 +33,9 @@ def _draw(backend: Backend, seconds: float) -> float:
     os.environ["MUJOCO_GL"] = backend
     import mujoco
 
-    from plp_lightning.envs.rendering_camera import Camera, Viewpoint
-    from plp_lightning.envs.tabletop import VIEWS
-    from plp_lightning.envs.tabletop_model import reach_model
+    from plp_lightning.envs.rendering.camera import Camera, Viewpoint
+    from plp_lightning.envs.tabletop.model import reach_model
+    from plp_lightning.envs.tabletop.simulator import VIEWS
 
     model = reach_model(64).model
     data = mujoco.MjData(model)

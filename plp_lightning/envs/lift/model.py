@@ -1,6 +1,6 @@
 """The MuJoCo model of R2R-Lift: robosuite's Lift with a block on a pedestal, and where its parts are.
 
-Importing this module imports robosuite; :mod:`plp_lightning.envs.lift` does so at the first reset only.
+Importing this module imports robosuite; :mod:`plp_lightning.envs.lift.simulator` does so at the first reset only.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from plp_lightning.envs.lift_state import Arm
+from plp_lightning.envs.lift.state import Arm
 
 Robot = Literal["Sawyer", "UR5e"]
 

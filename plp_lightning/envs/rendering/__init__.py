@@ -1,0 +1,1 @@
+"""RENDERING: small images of many scenes without a screen, on the processor alone."""
