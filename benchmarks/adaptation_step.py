@@ -17,6 +17,7 @@ import torch
 from training_step import make_data, timed_fit
 
 from datamodules.transfer import TransferDataModule
+from datamodules.types import Demand
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.phases import Adaptation
 from plp_lightning.policy import PortablePolicy
@@ -24,11 +25,11 @@ from plp_lightning.policy import PortablePolicy
 
 def naive_loop(data: TransferDataModule, steps: int) -> float:
     """CPU seconds a step of a bare loop that runs the frozen encoder every time."""
-    policy = PortablePolicy(data.specs, data.tasks, data.statistics())
+    policy = PortablePolicy(data.problem)
     policy.encoder.requires_grad_(False)
     policy.decoder.requires_grad_(False)
     optimizer = torch.optim.AdamW(policy.common.parameters(), lr=1e-4, weight_decay=0.0, fused=True)
-    batches = iter(data.loader("mix"))
+    batches = iter(data.loader(Demand("mix")))
     began = time.process_time()
     for _ in range(steps):
         transitions = next(batches).transitions
@@ -42,7 +43,7 @@ def naive_loop(data: TransferDataModule, steps: int) -> float:
 
 def phase_loop(data: TransferDataModule, steps: int) -> float:
     """CPU seconds a step of the Adaptation phase under a Trainer with this project's callbacks."""
-    phase = Adaptation(PortablePolicy(data.specs, data.tasks, data.statistics()), epochs=1)
+    phase = Adaptation(PortablePolicy(data.problem), epochs=1)
     return timed_fit(phase, data, steps)
 
 

@@ -19,7 +19,7 @@ from lightning.pytorch import Trainer
 
 from datamodules.hdf5 import write_trajectories
 from datamodules.transfer import TransferDataModule
-from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
+from datamodules.types import Demand, DomainSpec, Observation, ObservationKey, Trajectory
 from plp_lightning.callbacks.checkpointing import RandomState
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
@@ -69,9 +69,9 @@ def make_data(folder: Path, batch_size: int, steps: int, pairs: int) -> Transfer
 
 def plain_loop(data: TransferDataModule, steps: int) -> float:
     """CPU seconds a step of a bare loop: gather, forward, losses, backward, AdamW."""
-    policy = PortablePolicy(data.specs, data.tasks, data.statistics())
+    policy = PortablePolicy(data.problem)
     optimizer = torch.optim.AdamW(policy.parameters(), lr=1e-4, weight_decay=0.0, fused=True)
-    batches = iter(data.loader("proxies"))
+    batches = iter(data.loader(Demand("proxies")))
     began = time.process_time()
     for _ in range(steps):
         transitions = next(batches).transitions
@@ -86,7 +86,7 @@ def plain_loop(data: TransferDataModule, steps: int) -> float:
 
 def lightning_loop(data: TransferDataModule, steps: int, terms: list[str]) -> float:
     """CPU seconds a step of the same by the Alignment phase under a Trainer with this project's callbacks."""
-    policy = PortablePolicy(data.specs, data.tasks, data.statistics())
+    policy = PortablePolicy(data.problem)
     phase = Alignment(policy, terms, epochs=1)  # type: ignore[arg-type]
     return timed_fit(phase, data, steps)
 
@@ -121,7 +121,7 @@ class StepTimer(RandomState):
 
 def loader_alone(data: TransferDataModule, steps: int) -> float:
     """CPU seconds to gather one batch."""
-    batches = iter(data.loader("proxies"))
+    batches = iter(data.loader(Demand("proxies")))
     next(batches)
     began = time.process_time()
     for _ in range(steps - 1):

@@ -25,7 +25,7 @@ from training_step import StepTimer
 
 from datamodules.hdf5 import write_trajectories
 from datamodules.transfer import TransferDataModule
-from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
+from datamodules.types import Demand, DomainSpec, Observation, ObservationKey, Trajectory
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.losses import behavioural_cloning, mmd
@@ -103,7 +103,7 @@ def plain_loop(data: TransferDataModule, steps: int) -> float:
     """CPU seconds a step of the plain loop, single precision."""
     net = PlainNetwork()
     optimizer = torch.optim.AdamW(net.parameters(), lr=5e-4, weight_decay=0.0)
-    batches = iter(data.loader("proxies"))
+    batches = iter(data.loader(Demand("proxies")))
     began = time.process_time()
     for _ in range(steps):
         loss = _plain_loss(net, data, next(batches).transitions)
@@ -137,7 +137,7 @@ def phase_loop(
     halved: int,
 ) -> float:
     """CPU seconds a step of the Alignment phase."""
-    policy = PortablePolicy(data.specs, data.tasks, data.statistics())
+    policy = PortablePolicy(data.problem)
     phase = Alignment(policy, ["mmd"], reconstruction_weight=weight, reconstruction_halvings=halved)
     if not channels_last:
         _transpose_images(phase)

@@ -55,6 +55,7 @@ class Loader:
         tables: By domain.
         order: Rows of each step.
         pairs: Trajectory pairs of a step; None if no loss asks for them.
+        course: Whether steps shall say what follows them.
     """
 
     def __init__(
@@ -62,8 +63,9 @@ class Loader:
         tables: Mapping[str, Table],
         order: Order,
         pairs: Callable[[int, int], dict[str, Sequences]] | None = None,
+        course: bool = False,
     ) -> None:
-        self.tables, self.order, self.pairs = tables, order, pairs
+        self.tables, self.order, self.pairs, self.course = tables, order, pairs, course
         self._next_epoch, self._next_step = 0, 0
 
     def __len__(self) -> int:
@@ -77,7 +79,7 @@ class Loader:
         for step in range(self._next_step, len(rows)):
             last = step + 1 == len(rows)
             self._next_epoch, self._next_step = (epoch + 1, 0) if last else (epoch, step + 1)
-            transitions = {d: self.tables[d].take(torch.from_numpy(r)) for d, r in rows[step].items()}
+            transitions = {d: self.tables[d].take(torch.from_numpy(r), self.course) for d, r in rows[step].items()}
             yield Batch(transitions, self.pairs(epoch, step) if self.pairs else {})
 
     def state_dict(self) -> dict[str, int]:
@@ -96,10 +98,13 @@ class FixedBatches:
         tables: By domain.
         rows: Rows of each domain.
         batch_size: Steps in a batch.
+        course: Whether steps shall say what follows them.
     """
 
-    def __init__(self, tables: Mapping[str, Table], rows: Mapping[str, np.ndarray], batch_size: int) -> None:
-        self.tables = tables
+    def __init__(
+        self, tables: Mapping[str, Table], rows: Mapping[str, np.ndarray], batch_size: int, course: bool = False
+    ) -> None:
+        self.tables, self.course = tables, course
         self.chunks = [(d, r[i : i + batch_size]) for d, r in rows.items() for i in range(0, len(r), batch_size)]
 
     def __len__(self) -> int:
@@ -109,4 +114,25 @@ class FixedBatches:
     def __iter__(self) -> Iterator[Batch]:
         """One domain's steps at a time."""
         for domain, rows in self.chunks:
-            yield Batch({domain: self.tables[domain].take(torch.from_numpy(rows))}, {})
+            yield Batch({domain: self.tables[domain].take(torch.from_numpy(rows), self.course)}, {})
+
+
+class FixedPairs:
+    """Held-out trajectory pairs; the same batches at every pass.
+
+    Args:
+        pairs: Where they come from.
+        count: Number of batches.
+    """
+
+    def __init__(self, pairs: PairSource, count: int) -> None:
+        self.pairs, self.count = pairs, count
+
+    def __len__(self) -> int:
+        """Number of batches."""
+        return self.count
+
+    def __iter__(self) -> Iterator[Batch]:
+        """Pairs alone."""
+        for step in range(self.count):
+            yield Batch({}, self.pairs(0, step))

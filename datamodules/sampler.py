@@ -50,6 +50,21 @@ class AlignmentOrder:
         return [{domain: rows[step] for domain, rows in chunks.items()} for step in range(self.steps)]
 
 
+class NoSteps:
+    """Epochs of phases that train on trajectory pairs alone.
+
+    Args:
+        steps: Training steps in an epoch.
+    """
+
+    def __init__(self, steps: int) -> None:
+        self.steps = steps
+
+    def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
+        """No rows, ``steps`` times."""
+        return [{} for _ in range(self.steps)]
+
+
 class MixOrder:
     """Steps of the adaptation phase: all of the target task's data, and alignment data anew each epoch.
 

@@ -26,5 +26,5 @@ def thin_out(table: Table, episodes: np.ndarray, phase: np.ndarray, stride: int)
     mask = t < frames[:, None]
     rows = (start + first)[:, None] + t * stride_of[:, None]
     index = np.where(mask, mask.cumsum().reshape(mask.shape) - 1, 0)
-    observation = table.observation.take(torch.from_numpy(rows[mask]))
-    return Sequences(observation, torch.from_numpy(index), torch.from_numpy(mask))
+    kept = torch.from_numpy(rows[mask])
+    return Sequences(table.observation.take(kept), torch.from_numpy(index), torch.from_numpy(mask), table.action[kept])

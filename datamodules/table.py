@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 from torch import Tensor
 
 from datamodules.images import Images
-from datamodules.types import DomainSpec, Observation, Transitions
+from datamodules.types import Course, DomainSpec, Observation, Transitions
 
 MOST_IMAGE_BYTES = 16 * 2**20
 """Of images that are looked at together, outside of training."""
@@ -51,9 +52,27 @@ class Table:
     def __len__(self) -> int:
         return len(self.action)
 
-    def take(self, rows: Tensor) -> Transitions:
-        """The steps at ``rows (B,)`` int64."""
-        return Transitions(self.observation.take(rows), self.action[rows], self.task[rows], rows)
+    def take(self, rows: Tensor, course: bool = False) -> Transitions:
+        """The steps at ``rows (B,)`` int64, and if asked for where they stand in their trajectories."""
+        seen, action, task = self.observation.take(rows), self.action[rows], self.task[rows]
+        return Transitions(seen, action, task, rows, self.course(rows) if course else None)
+
+    def course(self, rows: Tensor) -> Course:
+        """What comes after the steps at ``rows (B,)`` int64, and how far they are."""
+        last = self.last_row[rows]
+        ends = rows == last
+        progress = 1 - (last - rows) / (last - self.first_row[rows]).clamp(min=1)
+        return Course(self.observation.take(rows + ~ends), ends, progress)
+
+    @cached_property
+    def first_row(self) -> Tensor:
+        """``(N,)`` int64: first row of each step's trajectory."""
+        return torch.from_numpy(np.repeat(self.offset[:-1], np.diff(self.offset)))
+
+    @cached_property
+    def last_row(self) -> Tensor:
+        """``(N,)`` int64: last row of each step's trajectory."""
+        return torch.from_numpy(np.repeat(self.offset[1:] - 1, np.diff(self.offset)))
 
     def without_images(self) -> Table:
         """The same for those who don't look: nothing is read from the file for them."""

@@ -16,16 +16,14 @@ from lightning.pytorch import LightningDataModule
 from datamodules.errors import MissingTrajectoriesError
 from datamodules.hdf5 import TrajectoryFile
 from datamodules.images import Images, stored_images
-from datamodules.loader import FixedBatches, Loader, PairSource
+from datamodules.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
 from datamodules.normalization import Statistics
-from datamodules.sampler import AlignmentOrder, MixOrder, PairOrder, generator
+from datamodules.problem import TransferProblem
+from datamodules.sampler import AlignmentOrder, MixOrder, NoSteps, PairOrder, generator
 from datamodules.table import Table, build_table
-from datamodules.types import Batch, Collector, DomainSpec
+from datamodules.types import Batch, Collector, Demand, DomainSpec
 
 Part = Literal["train", "held_out"]
-
-Demand = Literal["proxies", "pairs", "mix"]
-"""What a phase trains on: proxy tasks of all domains; the same with trajectory pairs; target task and mix."""
 
 
 class TransferDataModule(LightningDataModule):
@@ -151,6 +149,11 @@ class TransferDataModule(LightningDataModule):
         """What each domain looks like, in order."""
         return [table.spec for table in self.tables.values()]
 
+    @property
+    def problem(self) -> TransferProblem:
+        """What a policy for these data is built for."""
+        return TransferProblem(self.specs, self.tasks, self.source_domain, self.target_domain, self.statistics())
+
     @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of everything that this run trains on."""
@@ -180,47 +183,57 @@ class TransferDataModule(LightningDataModule):
 
     # -- batches -----------------------------------------------------------------------------------
 
-    def loader(self, demand: Demand, images: bool = True) -> Loader:
-        """Training batches of a phase; without ``images`` for one that doesn't look at any."""
-        tables = self._tables(images)
-        if demand == "mix":
-            order = MixOrder(
-                self.rows(self.target_tasks, "train"),
-                self.rows(self.proxies, "train"),
-                self.mix,
-                self.batch_size,
-                self.seed,
-            )
-            return Loader(tables, order)
-        pairs = PairSource(tables, self._pair_order(), self.stride) if demand == "pairs" else None
-        return Loader(tables, AlignmentOrder(self.rows(self.proxies, "train"), self.batch_size, self.seed), pairs)
+    def loader(self, demand: Demand) -> Loader:
+        """Training batches of a phase."""
+        tables = self._tables(demand)
+        stride = self.stride if demand.pairs == "thinned" else 1
+        pairs = None if demand.pairs == "none" else PairSource(tables, self._pair_order("train"), stride)
+        return Loader(tables, self._order(demand), pairs, demand.course)
 
-    def _tables(self, images: bool) -> dict[str, Table]:
-        return {domain: table if images else table.without_images() for domain, table in self.tables.items()}
+    def _order(self, demand: Demand) -> Order:
+        if demand.steps == "none":
+            return NoSteps(self._pair_batches("train"))
+        proxies = self.rows(self.proxies, "train")
+        if demand.steps == "mix":
+            return MixOrder(self.rows(self.target_tasks, "train"), proxies, self.mix, self.batch_size, self.seed)
+        rows = proxies if demand.steps == "proxies" else self.rows([*self.proxies, *self.target_tasks], "train")
+        return AlignmentOrder(rows, self.batch_size, self.seed)
 
-    def _pair_order(self) -> PairOrder:
-        return PairOrder({domain: self.episodes_by_task(domain) for domain in self.domains}, self.pairs, self.seed)
+    def _tables(self, demand: Demand) -> dict[str, Table]:
+        return {d: table if demand.images else table.without_images() for d, table in self.tables.items()}
 
-    def episodes_by_task(self, domain: str) -> dict[int, np.ndarray]:
-        """Training trajectories of a domain's proxy tasks, by task index; tasks without any are left out."""
-        train = self.episodes(domain, self.proxies, "train")
-        task = self.tables[domain].episode_task[train]
-        return {int(index): train[task == index] for index in np.unique(task)}
+    def _pair_order(self, part: Part) -> PairOrder:
+        episodes = {domain: self.episodes_by_task(domain, part) for domain in self.domains}
+        return PairOrder(episodes, self.pairs, self.seed)
+
+    def _pair_batches(self, part: Part) -> int:
+        """So many that as many pairs are drawn as the target domain has trajectories."""
+        return -(-len(self.episodes(self.target_domain, self.proxies, part)) // self.pairs)
+
+    def episodes_by_task(self, domain: str, part: Part = "train") -> dict[int, np.ndarray]:
+        """Trajectories of a domain's proxy tasks, by task index; tasks without any are left out."""
+        found = self.episodes(domain, self.proxies, part)
+        task = self.tables[domain].episode_task[found]
+        return {int(index): found[task == index] for index in np.unique(task)}
 
     def train_dataloader(self) -> Loader:
         """Batches for the phase that the trainer runs, from where a resumed run stopped."""
-        self._loader = self.loader(self._phase_demand(), self._phase_looks())
+        self._loader = self.loader(self._phase_demand())
         if self._cursor is not None:
             self._loader.load_state_dict(self._cursor)
             self._cursor = None
         return self._loader
 
-    def val_dataloader(self) -> FixedBatches:
+    def val_dataloader(self) -> FixedBatches | FixedPairs:
         """Held-out trajectories of what the phase trains on."""
-        tasks = self.target_tasks if self._phase_demand() == "mix" else self.proxies
-        tables = self._tables(self._phase_looks())
+        demand = self._phase_demand()
+        tables = self._tables(demand)
+        if demand.steps == "none":
+            pairs = PairSource(tables, self._pair_order("held_out"), 1)
+            return FixedPairs(pairs, self._pair_batches("held_out"))
+        tasks = self.target_tasks if demand.steps == "mix" else self.proxies
         size = min(table.rows_at_a_time(1024) for table in tables.values())
-        return FixedBatches(tables, self.rows(tasks, "held_out"), size)
+        return FixedBatches(tables, self.rows(tasks, "held_out"), size, demand.course)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         """Walk through a batch only if there is somewhere to move it."""
@@ -230,12 +243,7 @@ class TransferDataModule(LightningDataModule):
         return moved
 
     def _phase_demand(self) -> Demand:
-        if self.trainer is None:
-            return "proxies"
-        return cast("Demand", self.trainer.lightning_module.demand)
-
-    def _phase_looks(self) -> bool:
-        return self.trainer is None or cast("bool", self.trainer.lightning_module.uses_images)
+        return Demand() if self.trainer is None else cast("Demand", self.trainer.lightning_module.demand)
 
     @property
     def parts(self) -> tuple[Part, ...]:

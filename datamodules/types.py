@@ -135,6 +135,17 @@ class Trajectory:
         return len(self.actions)
 
 
+class Course(NamedTuple):
+    """Where steps stand in their trajectories, and what comes after them."""
+
+    following: Observation[Tensor]
+    """What is seen after the step's action, ``(B, …)``; after the last step of a trajectory that step again."""
+    last: Tensor
+    """``(B,)`` bool: nothing was seen after this step."""
+    progress: Tensor
+    """``(B,)`` float32: share of the trajectory that lies behind, 0 at the first step and 1 at the last."""
+
+
 class Transitions(NamedTuple):
     """Single steps of one domain, drawn from many trajectories."""
 
@@ -146,6 +157,8 @@ class Transitions(NamedTuple):
     """``(B,)`` int64, index into the experiment's task names."""
     row: Tensor
     """``(B,)`` int64, position of the step in its domain's table (see ``datamodules.table``)."""
+    course: Course | None = None
+    """Where each step stands in its trajectory, if the phase asks for it."""
 
 
 class Sequences(NamedTuple):
@@ -157,15 +170,42 @@ class Sequences(NamedTuple):
     """``(P, T)`` int64: which frame is step t of trajectory p; 0 where ``mask`` is False."""
     mask: Tensor
     """``(P, T)`` bool: False behind the end of a trajectory."""
+    action: Tensor
+    """``(F, A)``: the expert's."""
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What a phase trains on.
+
+    Args:
+        steps: Single steps: of proxy tasks in every domain; of ``all`` tasks that there are demonstrations of, in
+            equal shares of every domain; of the target task with a ``mix`` of proxies; or ``none``.
+        pairs: Trajectories of one task in two domains: ``thinned`` out, ``whole``, or ``none``.
+        images: Whether images are looked at, where there are cameras.
+        course: Whether steps shall say what follows them.
+    """
+
+    steps: Literal["proxies", "all", "mix", "none"] = "proxies"
+    pairs: Literal["none", "thinned", "whole"] = "none"
+    images: bool = True
+    course: bool = False
+
+    def __post_init__(self) -> None:
+        assert self.steps != "none" or self.pairs != "none", "a phase trains on steps, on pairs or on both"
 
 
 class Batch(NamedTuple):
     """One training step's data."""
 
     transitions: dict[str, Transitions]
-    """By domain; a domain without steps in this batch is left out."""
+    """By domain; a domain without steps in this batch is left out. Empty where a loss asks for pairs alone."""
     pairs: dict[str, Sequences]
     """Two domains; row p of both demonstrates the same task. Empty where no loss asks for pairs."""
+
+
+Actor = Callable[[Observation[np.ndarray], np.ndarray], np.ndarray]
+"""Who acts in episodes: observations ``(n, …)`` of those ``(n,)`` that still run → actions ``(n, A)``."""
 
 
 class Collector(Protocol):

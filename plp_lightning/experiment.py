@@ -11,17 +11,16 @@ from typing import Any
 from lightning.pytorch import Callback
 
 from datamodules.errors import ConfigError
-from datamodules.normalization import Statistics
+from datamodules.problem import TransferProblem
 from datamodules.transfer import TransferDataModule
-from datamodules.types import DomainSpec
+from plp_lightning.base_policy import AligningPolicy, Policy
 from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.evaluation.simulation import Success, Trial, evaluate_all
 from plp_lightning.phases import Phase
-from plp_lightning.policy import PortablePolicy
 
-PolicyFactory = Callable[[Sequence[DomainSpec], Sequence[str], Mapping[str, Statistics]], PortablePolicy]
-PhaseFactory = Callable[[PortablePolicy], Phase]
+PolicyFactory = Callable[[TransferProblem], Policy]
+PhaseFactory = Callable[[Policy], Phase[Any]]
 
 
 @dataclass(frozen=True)
@@ -95,13 +94,13 @@ class Experiment:
             "proxy_source": Trial(data.source_domain, data.proxies),
         }
 
-    def build_policy(self) -> PortablePolicy:
+    def build_policy(self) -> Policy:
         """The policy, untrained, for the domains, tasks and statistics of the data."""
-        return self.policy(self.data.specs, self.data.tasks, self.data.statistics())
+        return self.policy(self.data.problem)
 
     def evaluate(
         self,
-        policy: PortablePolicy,
+        policy: Policy,
         episodes: int | None = None,
         seed: int | None = None,
         recorders: Mapping[str, Simulator] | None = None,
@@ -118,9 +117,9 @@ class Experiment:
         seed = self.seed if seed is None else seed
         return evaluate_all(policy, self.simulators, self.trials, episodes, seed, recorders)
 
-    def alignment(self, policy: PortablePolicy) -> dict[str, float]:
-        """Alignment scores of a policy at the end of a phase; empty if the experiment has no score."""
-        if self.score is None:
+    def alignment(self, policy: Policy) -> dict[str, float]:
+        """Alignment scores of a policy at the end of a phase; empty without a score or anything to score."""
+        if self.score is None or not isinstance(policy, AligningPolicy):
             return {}
         scores = self.score(policy, self.data, self.simulators)
         return scores | self.score.of_target(policy, self.data, self.simulators)

@@ -7,21 +7,19 @@ the state; a domain without a camera has zeros there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
-import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from datamodules.errors import ConfigError
-from datamodules.normalization import Scaling, Statistics
+from datamodules.normalization import Scaling
+from datamodules.problem import TransferProblem
 from datamodules.types import DomainSpec, Observation
+from plp_lightning.base_policy import AligningPolicy, Observations, Parts
 from plp_lightning.networks import ActionDecoder, CommonPolicy, DomainColumns, ImageEncoder, Sharing, StateEncoder
 from plp_lightning.scaling import InputScaler
-
-Parts = Mapping[str, Tensor]
-"""One tensor by domain, with as many rows as the domain has in the batch."""
 
 
 class Forward(NamedTuple):
@@ -33,13 +31,11 @@ class Forward(NamedTuple):
     """By domain, ``(B_d, A_d)``."""
 
 
-class PortablePolicy(nn.Module):
+class PortablePolicy(AligningPolicy):
     """The portable latent policy of the paper (Section 4.1): one network for all domains and tasks.
 
     Args:
-        domains: What each domain looks like; their order is the domain id.
-        tasks: Names of all tasks, the target's included; their order is the task id.
-        statistics: Of raw states, by domain; without them a checkpoint has to bring the scaling.
+        problem: Domains and tasks.
         latent: Z, size of latent states and latent actions.
         hidden: Units in every hidden layer.
         encoder_layers: Hidden layers of the state encoder.
@@ -62,9 +58,7 @@ class PortablePolicy(nn.Module):
 
     def __init__(
         self,
-        domains: Sequence[DomainSpec],
-        tasks: Sequence[str],
-        statistics: Mapping[str, Statistics] | None = None,
+        problem: TransferProblem,
         latent: int = 192,
         hidden: int = 192,
         encoder_layers: int = 3,
@@ -78,11 +72,7 @@ class PortablePolicy(nn.Module):
         image_channels: Sequence[int] = (64, 64, 128, 128, 128),
         image_features: int = 1024,
     ) -> None:
-        super().__init__()
-        self.domains = {spec.name: spec for spec in domains}
-        self.tasks = {name: i for i, name in enumerate(tasks)}
-        self.latent_size = latent
-        self.architecture: dict[str, Any] = {
+        architecture = {
             "latent": latent,
             "hidden": hidden,
             "encoder_layers": encoder_layers,
@@ -96,9 +86,12 @@ class PortablePolicy(nn.Module):
             "image_channels": list(image_channels),
             "image_features": image_features,
         }
+        super().__init__(problem, architecture)
+        domains, tasks = problem.domains, problem.tasks
+        self.latent_size = latent
         self.image_shape = _image_shape(domains) if image_channels else None
         self.image_features = 0 if self.image_shape is None else image_features
-        self.scaler = InputScaler(domains, statistics, scaling or {}, clip)
+        self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
         self.context_columns = {spec.name: _context_columns(spec, decoder_state) for spec in domains}
         self.states = DomainColumns({spec.name: spec.state_size for spec in domains}, columns)
         self.contexts = DomainColumns({name: len(seen) for name, seen in self.context_columns.items()}, columns)
@@ -112,14 +105,14 @@ class PortablePolicy(nn.Module):
             None if self.image_shape is None else ImageEncoder(self.image_shape, image_channels, image_features)
         )
 
-    def encode(self, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
+    def encode(self, observation: Observations) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
         inputs = self.states.join({d: self.scaler(obs.state, d) for d, obs in observation.items()})
         if self.image_encoder is not None:
             inputs = torch.cat([inputs, self._see(self.image_encoder, observation)], dim=1)
         return _split(self.encoder(inputs), observation)
 
-    def decode(self, plan: Parts, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
+    def decode(self, plan: Parts, observation: Observations) -> dict[str, Tensor]:
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
         context = self.contexts.join({d: self._context(obs, d) for d, obs in observation.items()})
         joined = torch.cat([plan[domain] for domain in observation])
@@ -132,21 +125,16 @@ class PortablePolicy(nn.Module):
         sizes = [len(part) for part in latent.values()]
         return dict(zip(latent, joined.split(sizes), strict=True))
 
-    def forward(self, observation: Mapping[str, Observation[Tensor]], task: Parts) -> Forward:
+    def forward(self, observation: Observations, task: Parts) -> Forward:
         """ψ(π_z(φ(s, d), k), s, d) for the rows of every domain."""
         latent = self.encode(observation)
         return Forward(latent, self.decode(self.plan(latent, task), observation))
 
-    @torch.inference_mode()
-    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
-        """Actions ``(B, A)`` for B observations of ``domain``, each with the name of its task."""
-        device = next(self.parameters()).device
-        seen = {domain: observation.map(lambda x: torch.as_tensor(x, device=device))}
-        ids = torch.tensor([self.tasks[name] for name in task], device=device)
-        actions: np.ndarray = self(seen, {domain: ids}).action[domain].cpu().numpy()
-        return actions
+    def decide(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
+        """The actions of :meth:`forward`."""
+        return self.forward(observation, task).action
 
-    def _see(self, encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]]) -> Tensor:
+    def _see(self, encoder: ImageEncoder, observation: Observations) -> Tensor:
         """Features ``(B, F)`` of all domains' images in one pass; zeros where there is no camera."""
         images = {domain: obs.image for domain, obs in observation.items() if obs.image is not None}
         cameras = [domain for domain in observation if self.domains[domain].image_key is not None]
@@ -166,7 +154,7 @@ class PortablePolicy(nn.Module):
         return scaled[:, columns]
 
 
-def _split(joined: Tensor, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
+def _split(joined: Tensor, observation: Observations) -> dict[str, Tensor]:
     sizes = [len(obs.state) for obs in observation.values()]
     return dict(zip(observation, joined.split(sizes), strict=True))
 

@@ -69,6 +69,4 @@ def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 3
 def policy(data: TransferDataModule) -> PortablePolicy:
     """A small policy for the domains of ``data``, always with the same weights."""
     torch.manual_seed(0)
-    return PortablePolicy(
-        data.specs, data.tasks, data.statistics(), latent=8, hidden=16, image_channels=[4, 6], image_features=12
-    )
+    return PortablePolicy(data.problem, latent=8, hidden=16, image_channels=[4, 6], image_features=12)

@@ -14,8 +14,8 @@ ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for package in ("datamodules", "plp_lightning") for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
-WORDS = {"datamodules.errors", "datamodules.types", "datamodules.normalization"}
-POLICY = {"plp_lightning.networks", "plp_lightning.scaling", "plp_lightning.policy"}
+WORDS = {"datamodules.errors", "datamodules.types", "datamodules.normalization", "datamodules.problem"}
+POLICY = {"plp_lightning.networks", "plp_lightning.scaling", "plp_lightning.base_policy", "plp_lightning.policy"}
 LEAVES = {"plp_lightning.progress", "plp_lightning.seeding", "plp_lightning.versions"}
 ALL = {"datamodules", "plp_lightning"}
 
@@ -33,6 +33,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.envs": WORDS,
     "plp_lightning.experts": WORDS | {"plp_lightning.envs"},
     "plp_lightning.scaling": WORDS,
+    "plp_lightning.base_policy": WORDS,
     "plp_lightning.policy": WORDS | POLICY,
     "plp_lightning.phases": {"datamodules", "plp_lightning.losses"} | POLICY,
     "plp_lightning.baselines": {"datamodules", "plp_lightning.losses", "plp_lightning.phases"} | POLICY,

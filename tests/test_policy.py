@@ -29,7 +29,7 @@ def build(
 ) -> PortablePolicy:
     torch.manual_seed(0)
     policy = PortablePolicy(
-        domains, TASKS, statistics, latent=6, hidden=12, decoder_state=decoder_state, columns=columns
+        tiny.problem(domains, TASKS, statistics), latent=6, hidden=12, decoder_state=decoder_state, columns=columns
     )
     with torch.no_grad():
         for parameter in policy.parameters():
@@ -215,7 +215,7 @@ def sizes(first: tuple[int, int], second: tuple[int, int], tasks: int, decoder_s
     """Parameters of encoder, common policy and decoder at the paper's widths, where domains share columns."""
     domains = [tiny.spec("x", *first), tiny.spec("y", *second)]
     names = [f"task_{i}" for i in range(tasks)]
-    policy = PortablePolicy(domains, names, decoder_state=decoder_state, columns="shared")
+    policy = PortablePolicy(tiny.problem(domains, names), decoder_state=decoder_state, columns="shared")
     parts = (policy.encoder, policy.common, policy.decoder)
     return [sum(p.numel() for p in part.parameters()) for part in parts]
 
@@ -242,6 +242,6 @@ def test_scaling_travels_with_the_weights() -> None:
 def test_the_architecture_rebuilds_the_policy_after_json() -> None:
     policy = build(decoder_state=["a"])
     plain = json.loads(json.dumps(policy.architecture))
-    again = PortablePolicy([SMALL, LARGE, TWIN], TASKS, None, **plain)
+    again = PortablePolicy(tiny.problem([SMALL, LARGE, TWIN], TASKS), **plain)
     again.load_state_dict(policy.state_dict())
     assert again.architecture == policy.architecture

@@ -30,9 +30,7 @@ def build(
 ) -> PortablePolicy:
     torch.manual_seed(0)
     return PortablePolicy(
-        domains,
-        TASKS,
-        {spec.name: tiny.statistics(spec, i) for i, spec in enumerate(domains)},
+        tiny.problem(domains, TASKS, {spec.name: tiny.statistics(spec, i) for i, spec in enumerate(domains)}),
         latent=6,
         hidden=8,
         image_channels=image_channels,
@@ -148,7 +146,7 @@ def test_acting_needs_numpy_images_alone() -> None:
 def test_the_architecture_rebuilds_a_policy_that_sees_after_json() -> None:
     policy = build(LEFT, RIGHT)
     plain = json.loads(json.dumps(policy.architecture))
-    again = PortablePolicy([LEFT, RIGHT], TASKS, None, **plain)
+    again = PortablePolicy(tiny.problem([LEFT, RIGHT], TASKS), **plain)
     again.load_state_dict(policy.state_dict())
     assert again.architecture == policy.architecture
     observation, task = inputs(LEFT, RIGHT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 
 from datamodules.normalization import Statistics
+from datamodules.problem import TransferProblem
 from datamodules.table import Table, build_table
 from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
@@ -91,10 +93,17 @@ def statistics(domain: DomainSpec, seed: int) -> Statistics:
     return Statistics(rng.normal(size=domain.state_size), rng.uniform(0.5, 2, domain.state_size))
 
 
+def problem(
+    domains: Sequence[DomainSpec], tasks: Sequence[str], statistics: Mapping[str, Statistics] | None = None
+) -> TransferProblem:
+    """From the first domain to the last."""
+    return TransferProblem(domains, tasks, domains[0].name, domains[-1].name, statistics)
+
+
 def policy(data: TransferDataModule) -> PortablePolicy:
     """A small policy for the domains of ``data``, always with the same weights."""
     torch.manual_seed(0)
-    return PortablePolicy(data.specs, data.tasks, data.statistics(), latent=8, hidden=16, decoder_state="all")
+    return PortablePolicy(data.problem, latent=8, hidden=16, decoder_state="all")
 
 
 def observe(state: np.ndarray) -> Observation[torch.Tensor]:

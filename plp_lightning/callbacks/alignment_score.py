@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from lightning.pytorch import Callback, LightningModule, Trainer
 
 from datamodules.transfer import TransferDataModule
+from plp_lightning.base_policy import AligningPolicy
 from plp_lightning.envs.base import Simulator
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.phases import Phase
@@ -34,6 +35,6 @@ class AlignmentMetrics(Callback):
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Measure, if it is this epoch's turn."""
         turn = self.every_n_epochs > 0 and (trainer.current_epoch + 1) % self.every_n_epochs == 0
-        if turn and isinstance(pl_module, Phase):
+        if turn and isinstance(pl_module, Phase) and isinstance(pl_module.policy, AligningPolicy):
             for name, value in self.score(pl_module.policy, self.data, self.simulators).items():
                 pl_module.log(f"alignment/{name}", value)

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from sklearn.manifold import TSNE
 
 from datamodules.transfer import TransferDataModule
+from plp_lightning.base_policy import AligningPolicy
 from plp_lightning.callbacks.picture import publish
 from plp_lightning.envs.base import Simulator
 from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_states
 from plp_lightning.phases import Phase
-from plp_lightning.policy import PortablePolicy
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 """One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart
@@ -51,15 +51,16 @@ class LatentPicture(Callback):
         """Draw, if it is this epoch's turn."""
         epoch = trainer.current_epoch + 1
         turn = self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
-        if (turn or epoch == trainer.max_epochs) and isinstance(pl_module, Phase):
-            self._draw(trainer, pl_module)
+        policy = pl_module.policy if isinstance(pl_module, Phase) else None
+        if (turn or epoch == trainer.max_epochs) and isinstance(policy, AligningPolicy):
+            self._draw(trainer, policy)
 
-    def _draw(self, trainer: Trainer, phase: Phase) -> None:
+    def _draw(self, trainer: Trainer, policy: AligningPolicy) -> None:
         data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]
-        latents = {d: encode(phase.policy, d, sample_states(data, d, self.samples)).numpy() for d in data.domains}
-        publish(trainer, "latents", latent_figure(latents, self._joined(phase.policy, data)))
+        latents = {d: encode(policy, d, sample_states(data, d, self.samples)).numpy() for d in data.domains}
+        publish(trainer, "latents", latent_figure(latents, self._joined(policy, data)))
 
-    def _joined(self, policy: PortablePolicy, data: TransferDataModule) -> dict[str, np.ndarray]:
+    def _joined(self, policy: AligningPolicy, data: TransferDataModule) -> dict[str, np.ndarray]:
         if self.score is None or self.pairs == 0:
             return {}
         states = self.score.correspondences(data, self.simulators, self.pairs)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from datamodules.types import Observation
+from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
-
-Actor = Callable[[Observation[np.ndarray], np.ndarray], np.ndarray]
-"""Observations ``(n, …)`` of the episodes ``(n,)`` that still run → actions ``(n, A)``."""
 
 
 @dataclass(frozen=True)

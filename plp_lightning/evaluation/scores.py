@@ -14,12 +14,12 @@ from datamodules.errors import ConfigError
 from datamodules.sampler import generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
+from plp_lightning.base_policy import AligningPolicy
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.evaluation.alignment import closeness, top_accuracy
 from plp_lightning.evaluation.simulation import Trial
-from plp_lightning.policy import PortablePolicy
 
 SAMPLE = 7
 """Stream of random numbers for the states that are scored."""
@@ -30,12 +30,12 @@ class AlignmentScore(ABC):
 
     @abstractmethod
     def __call__(
-        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+        self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """Named scores, higher is better. Never reads the target task in the target domain."""
 
     def of_target(
-        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+        self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """Named scores on the target task, for the end of a phase alone: nothing is trained or chosen by them.
 
@@ -80,14 +80,14 @@ class ClosenessScore(AlignmentScore):
         self.samples, self.guide, self.guided_episodes = samples, guide, guided_episodes
 
     def __call__(
-        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+        self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """``{"closeness": …}``."""
         states = {d: sample_states(data, d, self.samples) for d in (data.source_domain, data.target_domain)}
         return {"closeness": self._closeness(policy, simulators, states)}
 
     def of_target(
-        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+        self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """``{"closeness_target": …}``, or nothing without a guide."""
         if self.guide is None:
@@ -102,7 +102,7 @@ class ClosenessScore(AlignmentScore):
 
     def _closeness(
         self,
-        policy: PortablePolicy,
+        policy: AligningPolicy,
         simulators: Mapping[str, Simulator],
         states: Mapping[str, Observation[Tensor]],
     ) -> float:
@@ -135,7 +135,7 @@ class PairAccuracy(AlignmentScore):
         self.samples = samples
 
     def __call__(
-        self, policy: PortablePolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+        self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
         """``{"top1": …, "top5": …}``.
 
@@ -204,7 +204,7 @@ def guided_states(
 
 
 @torch.inference_mode()
-def encode(policy: PortablePolicy, domain: str, observation: Observation[Tensor]) -> Tensor:
+def encode(policy: AligningPolicy, domain: str, observation: Observation[Tensor]) -> Tensor:
     """Latent states ``(N, Z)`` on the CPU."""
     device = next(policy.parameters()).device
     return policy.encode({domain: observation.map(lambda x: x.to(device))})[domain].cpu()

@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-
-from datamodules.types import Observation
+from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.rollout import Episodes, rollout
 from plp_lightning.evaluation.statistics import success_interval
@@ -18,8 +16,8 @@ from plp_lightning.seeding import episode_seed
 class Acting(Protocol):
     """All that an evaluation asks of a policy."""
 
-    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
-        """Actions ``(B, A)`` for B observations of one domain, each with the name of its task."""
+    def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
+        """Who acts in episodes of ``tasks`` that begin now."""
         ...
 
 
@@ -69,18 +67,14 @@ def evaluate(policy: Acting, simulator: Simulator, trial: Trial, episodes: int, 
     Episode i always begins in the same state for a given seed, whatever else is run.
 
     Args:
-        policy: Who acts, called once for each time step on the batch of running episodes.
+        policy: Whose actor is called once for each time step on the batch of running episodes.
         simulator: The trial's domain.
         trial: Domain and tasks.
         episodes: How many; tasks take turns.
         seed: Seed of the run.
     """
     tasks, seeds = trial.in_turn("evaluate", seed, episodes)
-
-    def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
-        return policy.act(observation, trial.domain, [tasks[i] for i in running])
-
-    return Success.of(rollout(simulator, act, tasks, seeds))
+    return Success.of(rollout(simulator, policy.actor(trial.domain, tasks), tasks, seeds))
 
 
 def evaluate_all(

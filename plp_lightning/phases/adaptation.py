@@ -7,14 +7,13 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor, nn
 
-from datamodules.transfer import Demand
-from datamodules.types import Batch, Observation, Transitions
+from datamodules.types import Batch, Demand, Observation, Transitions
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.phases.base import Phase
 from plp_lightning.policy import PortablePolicy
 
 
-class Adaptation(Phase):
+class Adaptation(Phase[PortablePolicy]):
     """Behavioural cloning of the target task with encoder and decoder frozen (paper, Eq. 6, Algorithm 2).
 
     The encoder never changes here, so the latent state of every step is computed once, when the phase
@@ -27,8 +26,8 @@ class Adaptation(Phase):
         weight_decay: Weight decay of AdamW.
     """
 
-    demand: Demand = "mix"
-    uses_images = False
+    trains = PortablePolicy
+    demand = Demand("mix", images=False)
 
     def __init__(self, policy: PortablePolicy, epochs: int = 50, lr: float = 1e-4, weight_decay: float = 0.0) -> None:
         super().__init__(policy, epochs, lr, weight_decay)

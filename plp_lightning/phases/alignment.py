@@ -9,18 +9,18 @@ import torch
 from torch import Tensor
 
 from datamodules.errors import ConfigError
-from datamodules.transfer import Demand
-from datamodules.types import Batch, Observation, Sequences
+from datamodules.types import Batch, Demand, Observation, Sequences
+from plp_lightning.base_policy import Parts
 from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, reconstruction, tcc
 from plp_lightning.networks import DomainDiscriminator, ImageDecoder
 from plp_lightning.networks.vision import halvings
 from plp_lightning.phases.base import Phase
-from plp_lightning.policy import Parts, PortablePolicy
+from plp_lightning.policy import PortablePolicy
 
 Term = Literal["mmd", "tcc", "adversarial"]
 
 
-class Alignment(Phase):
+class Alignment(Phase[PortablePolicy]):
     """Multi-domain behavioural cloning plus terms that align the latent states.
 
     L_align = L_BC + λ_MMD L_MMD + λ_TCC L_TCC (paper, Eq. 5), or with a domain discriminator in place of
@@ -45,6 +45,8 @@ class Alignment(Phase):
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
     """
+
+    trains = PortablePolicy
 
     def __init__(
         self,
@@ -71,7 +73,7 @@ class Alignment(Phase):
             "reconstruction": reconstruction_weight,
         }
         self.terms, self.bc_reduction, self.tcc_similarity = tuple(terms), bc_reduction, tcc_similarity
-        self.demand: Demand = "pairs" if "tcc" in terms else "proxies"
+        self.demand = Demand(pairs="thinned" if "tcc" in terms else "none")
         self.discriminator = (
             DomainDiscriminator(policy.latent_size, len(policy.domains), discriminator_hidden, discriminator_layers)
             if "adversarial" in terms

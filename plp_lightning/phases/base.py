@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
 from lightning.pytorch import LightningModule
 from torch import Tensor, nn
 
-from datamodules.transfer import Demand
-from datamodules.types import Batch, Transitions
+from datamodules.errors import ConfigError
+from datamodules.types import Batch, Demand, Transitions
+from plp_lightning.base_policy import Policy
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.policy import Forward, PortablePolicy
+
+P = TypeVar("P", bound=Policy)
 
 
-class Phase(LightningModule):
+class Phase(LightningModule, Generic[P]):
     """One training stage of a method, run by its own Trainer.
 
     Args:
@@ -23,15 +25,23 @@ class Phase(LightningModule):
         epochs: Passes over the phase's data.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW; torch's own default is not zero, the paper's is.
+
+    Raises:
+        ConfigError: If it is a phase for other policies.
     """
 
-    demand: Demand = "proxies"
+    trains: ClassVar[type] = Policy
+    """Which policies it can train."""
+    demand: Demand = Demand()
     """Which batches the DataModule shall give."""
-    uses_images = True
-    """Whether its batches shall bring images, where there are cameras."""
 
-    def __init__(self, policy: PortablePolicy, epochs: int, lr: float, weight_decay: float = 0.0) -> None:
+    def __init__(self, policy: P, epochs: int, lr: float, weight_decay: float = 0.0) -> None:
         super().__init__()
+        if not isinstance(policy, self.trains):
+            raise ConfigError(
+                f"phase {type(self).__name__} trains a {self.trains.__name__}, found a {type(policy).__name__}; "
+                "choose policy and phases together, as configs/methods do"
+            )
         self.policy = policy
         self.epochs, self.lr, self.weight_decay = epochs, lr, weight_decay
 
@@ -60,8 +70,7 @@ class Phase(LightningModule):
     def predict(self, transitions: Mapping[str, Transitions]) -> dict[str, Tensor]:
         """The policy's actions ``(B_d, A_d)`` by domain."""
         observation = {domain: steps.observation for domain, steps in transitions.items()}
-        out: Forward = self.policy(observation, {domain: steps.task for domain, steps in transitions.items()})
-        return out.action
+        return self.policy.decide(observation, {domain: steps.task for domain, steps in transitions.items()})
 
     @property
     def logs_now(self) -> bool:
@@ -77,7 +86,6 @@ class Phase(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what rebuilds the policy without the configuration: plain lists, strings and numbers."""
         checkpoint["policy"] = {
-            "domains": [spec.to_dict() for spec in self.policy.domains.values()],
-            "tasks": list(self.policy.tasks),
+            "problem": self.policy.problem.to_dict(),
             "architecture": self.policy.architecture,
         }

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from datamodules.atomic import locked_folder, replacing
+from plp_lightning.base_policy import Policy
 from plp_lightning.experiment import Experiment
-from plp_lightning.policy import PortablePolicy
 from plp_lightning.runs.fit import load_policy_weights
 
 
@@ -32,7 +32,7 @@ class Assessment:
     folder: Path
 
     @cached_property
-    def policy(self) -> PortablePolicy:
+    def policy(self) -> Policy:
         """The policy with the checkpoint's weights, ready to act."""
         torch.set_num_threads(self.experiment.threads)
         self.experiment.data.prepare_data()
@@ -62,7 +62,7 @@ def held_out_predictions(assessment: Assessment) -> dict[str, tuple[np.ndarray, 
     for domain, rows in data.rows([*data.proxies, *data.target_tasks], "held_out").items():
         steps = data.tables[domain].take(torch.from_numpy(rows))
         with torch.inference_mode():
-            action = policy({domain: steps.observation}, {domain: steps.task}).action[domain]
+            action = policy.decide({domain: steps.observation}, {domain: steps.task})[domain]
         found[domain] = (action.numpy(), steps.action.numpy())
     return found
 

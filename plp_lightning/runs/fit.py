@@ -17,6 +17,7 @@ from lightning.pytorch import Callback, Trainer, seed_everything
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from datamodules.errors import CheckpointError, ConfigError
+from plp_lightning.base_policy import Policy
 from plp_lightning.callbacks.alignment_score import AlignmentMetrics
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
 from plp_lightning.callbacks.evaluation import SimulatorEvaluation
@@ -28,7 +29,6 @@ from plp_lightning.callbacks.progress import PhaseProgress
 from plp_lightning.callbacks.reconstruction_picture import ReconstructionPicture
 from plp_lightning.experiment import Experiment
 from plp_lightning.phases import Phase
-from plp_lightning.policy import PortablePolicy
 from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.episode_pictures import EpisodePictures
@@ -185,7 +185,7 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list
     return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(folder, held_out)]
 
 
-def assess(experiment: Experiment, policy: PortablePolicy, trainer: Trainer) -> dict[str, Any]:
+def assess(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, Any]:
     """Success in all trials and alignment scores at the end of a phase; episodes of the target task are pictured."""
     policy.eval()
     pictures = EpisodePictures.of(experiment)
@@ -195,7 +195,7 @@ def assess(experiment: Experiment, policy: PortablePolicy, trainer: Trainer) -> 
     return {"trials": {name: found.to_dict() for name, found in outcomes.items()}, "alignment": scores}
 
 
-def load_policy_weights(policy: PortablePolicy, checkpoint: Path) -> None:
+def load_policy_weights(policy: Policy, checkpoint: Path) -> None:
     """Put the weights, scaling included, of a phase's checkpoint into ``policy``.
 
     Raises:

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterable
 from jsonargparse import ArgumentParser
 from lightning.pytorch import Callback
 
+from plp_lightning.base_policy import Policy
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.phases import Phase
-from plp_lightning.policy import PortablePolicy
 
-ROOTS = (PortablePolicy, Phase, Simulator, Expert, AlignmentScore, Callback)
+ROOTS = (Policy, Phase, Simulator, Expert, AlignmentScore, Callback)
 """Classes whose subclasses a configuration names."""
 NEAR = 0.7
 """Similarity from which a known word is offered in place of an unknown one."""

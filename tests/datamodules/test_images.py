@@ -17,7 +17,7 @@ from demonstrations import ARM, CAMERA, TASKS, demonstrations
 from datamodules.errors import TrajectoryFileError, UserError
 from datamodules.hdf5 import TrajectoryFile, write_trajectories
 from datamodules.images import ImageFile, stored_images
-from datamodules.types import Batch, Observation, Trajectory
+from datamodules.types import Batch, Demand, Observation, Trajectory
 
 CHOSEN = np.array([1, 3, 4])
 
@@ -149,7 +149,7 @@ def test_batches_are_the_same_wherever_images_are(seen_file: Path, place: float)
     one, other = seen.data_module(seen_file), seen.data_module(seen_file, place)
     assert isinstance(one.tables["left"].observation.image, torch.Tensor)
     assert isinstance(other.tables["left"].observation.image, ImageFile)
-    for demand in ("pairs", "mix"):
+    for demand in (Demand(pairs="thinned"), Demand("mix")):
         for first, second in zip(one.loader(demand), other.loader(demand), strict=True):
             assert len(contents(first)) == len(contents(second)) > 0
             assert all(torch.equal(a, b) for a, b in zip(contents(first), contents(second), strict=True))
@@ -164,7 +164,7 @@ def test_batches_hold_the_images_that_were_recorded(seen_file: Path) -> None:
         for t in seen.demonstrations(6)
         for state, image in zip(t.observation.state, t.observation.image, strict=True)  # type: ignore[arg-type]
     }
-    for batch in data.loader("pairs"):
+    for batch in data.loader(Demand(pairs="thinned")):
         for part in (*batch.transitions.values(), *batch.pairs.values()):
             assert part.observation.image is not None
             assert part.observation.image.dtype is torch.uint8
@@ -194,7 +194,7 @@ def test_one_other_pixel_is_another_fingerprint(seen_file: Path, tmp_path: Path)
 
 def test_who_does_not_look_gets_no_images(seen_file: Path) -> None:
     data = seen.data_module(seen_file, seen.ON_DISK)
-    blind = [s.observation.image for b in data.loader("mix", images=False) for s in b.transitions.values()]
+    blind = [s.observation.image for b in data.loader(Demand("mix", images=False)) for s in b.transitions.values()]
     assert blind
     assert all(image is None for image in blind)
     images = data.tables["left"].observation.image

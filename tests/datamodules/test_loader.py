@@ -31,9 +31,12 @@ def mix_loader() -> Loader:
     return Loader(TABLES, MixOrder({"a": np.arange(9)}, {"b": ROWS["b"]}, 1.5, 4, seed=1))
 
 
+FIELDS = ("action", "task", "row")
+
+
 def flat(batch: Batch) -> list[tuple[str, list[float]]]:
     """Everything that a batch holds, as plain numbers."""
-    steps = [(f"{d} {name}", getattr(s, name).tolist()) for d, s in batch.transitions.items() for name in s._fields[1:]]
+    steps = [(f"{d} {name}", getattr(s, name).tolist()) for d, s in batch.transitions.items() for name in FIELDS]
     states = [(f"{d} state", s.observation.state.tolist()) for d, s in batch.transitions.items()]
     pairs = [(d, [s.observation.state.tolist(), s.frame.tolist(), s.mask.tolist()]) for d, s in batch.pairs.items()]
     return [*steps, *states, *pairs]

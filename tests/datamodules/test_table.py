@@ -42,3 +42,15 @@ def test_tensors_share_the_memory_of_the_arrays() -> None:
     assert taken.image is not None
     assert taken.state[0, 2] == 8
     assert taken.image[1, 0, 0, 0] == 9
+
+
+def test_course_tells_what_follows_and_how_far_a_step_is() -> None:
+    table = tiny.table(tiny.spec("flat", 3, 2), [4, 1, 3], [0, 0, 1])
+    rows = torch.tensor([6, 3, 0, 4, 1, 7, 5])
+    plain, told = table.take(rows), table.take(rows, course=True)
+    assert plain.course is None
+    course = told.course
+    assert course is not None
+    assert course.following.state[:, 0].tolist() == [7, 3, 1, 4, 2, 7, 6]
+    assert course.last.tolist() == [False, True, False, True, False, True, False]
+    torch.testing.assert_close(course.progress, torch.tensor([1 / 2, 1, 0, 1, 1 / 3, 1, 0]))

@@ -12,10 +12,11 @@ import torch
 from datamodules.errors import MissingTrajectoriesError
 from datamodules.hdf5 import TrajectoryFile, write_trajectories
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Batch, Observation, Trajectory
+from datamodules.types import Batch, Demand, Observation, Trajectory
 from plp_lightning.envs.synthetic import LinearPoint
 
 TARGET_ID = tiny.TASKS.index(tiny.TARGET)
+DEMANDS = {"proxies": Demand(), "pairs": Demand(pairs="thinned"), "mix": Demand("mix")}
 
 
 def write(path: Path, trajectories: list[Trajectory]) -> None:
@@ -29,7 +30,7 @@ def states_of_target_in_target_domain() -> np.ndarray:
 
 
 def batches(data: TransferDataModule) -> list[Batch]:
-    return [b for demand in ("proxies", "pairs", "mix") for _ in range(2) for b in data.loader(demand)]
+    return [b for demand in DEMANDS.values() for _ in range(2) for b in data.loader(demand)]
 
 
 # -- the target task in the target domain ------------------------------------------------------------
@@ -62,7 +63,7 @@ def test_no_batch_holds_the_target_in_the_target_domain(trajectory_file: Path) -
 def test_alignment_batches_and_statistics_hold_no_target_at_all(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     for demand in ("proxies", "pairs"):
-        for batch in data.loader(demand):
+        for batch in data.loader(DEMANDS[demand]):
             assert all(TARGET_ID not in steps.task for steps in batch.transitions.values())
     for domain, found in data.statistics().items():
         rows = np.isin(data.tables[domain].episode_task, [TARGET_ID])
@@ -77,7 +78,7 @@ def test_pairs_never_show_the_target(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     table = data.tables["flat"]
     target = {tuple(row) for row in table.observation.state[table.task == TARGET_ID].tolist()}
-    for batch in data.loader("pairs"):
+    for batch in data.loader(Demand(pairs="thinned")):
         assert not target & {tuple(row) for row in batch.pairs["flat"].observation.state.tolist()}
 
 
@@ -138,7 +139,7 @@ def test_what_is_used_does_not_change_when_the_file_grows(trajectory_file: Path,
     for domain in ("flat", "tall"):
         held_out = before.episodes(domain, tiny.PROXIES, "held_out")
         assert held_out.tolist() == after.episodes(domain, tiny.PROXIES, "held_out").tolist()
-    one, other = ([b.transitions["flat"].row.tolist() for b in d.loader("mix")] for d in (before, after))
+    one, other = ([b.transitions["flat"].row.tolist() for b in d.loader(Demand("mix"))] for d in (before, after))
     assert one == other
 
 
@@ -171,7 +172,8 @@ def test_training_batches_hold_no_held_out_step(trajectory_file: Path) -> None:
         kept = {domain: set(rows.tolist()) for domain, rows in data.rows(tasks, "held_out").items()}
         assert kept["flat"]
         for demand in demands:
-            used = [(d, r) for b in data.loader(demand) for d, s in b.transitions.items() for r in s.row.tolist()]
+            parts = [part for batch in data.loader(DEMANDS[demand]) for part in batch.transitions.items()]
+            used = [(domain, row) for domain, steps in parts for row in steps.row.tolist()]
             assert not [(d, r) for d, r in used if r in kept.get(d, set())]
 
 
@@ -218,9 +220,10 @@ def test_a_third_domain_gets_its_share(tmp_path: Path) -> None:
     write_trajectories(tmp_path / "three.hdf5", specs, tiny.TASKS, [*tiny.demonstrations(4), *extra], {})
     data = tiny.data_module(tmp_path / "three.hdf5", batch_size=30, domain_names=("flat", "tall", "third"))
     assert TARGET_ID not in data.tables["third"].task
-    first = next(iter(data.loader("pairs")))
+    first = next(iter(data.loader(Demand(pairs="thinned"))))
     assert [(d, len(s.action)) for d, s in first.transitions.items()] == [("flat", 10), ("tall", 10), ("third", 10)]
-    assert {tuple(b.pairs) for b in data.loader("pairs")} == {("flat", "tall"), ("flat", "third"), ("tall", "third")}
+    turns = {tuple(batch.pairs) for batch in data.loader(DEMANDS["pairs"])}
+    assert turns == {("flat", "tall"), ("flat", "third"), ("tall", "third")}
 
 
 def test_a_resumed_data_module_goes_on_with_the_next_batch(trajectory_file: Path) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from datamodules.types import Observation
+from datamodules.types import Actor, Observation
 from plp_lightning.envs.base import FloorPlan, Simulator, Step
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.rollout import Episodes, rollout
@@ -132,8 +132,8 @@ def test_floor_plans_are_the_drawing_for_all_bodies_and_frames() -> None:
 
 
 class Still:
-    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
-        return np.zeros((len(task), 2))
+    def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
+        return lambda observation, running: np.zeros((len(running), 2))
 
 
 def test_only_the_trials_of_domains_with_a_floor_plan_are_recorded() -> None:

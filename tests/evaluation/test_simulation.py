@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from datamodules.types import Observation
+from datamodules.types import Actor, Observation
 from plp_lightning.envs.rollout import Episodes
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.evaluation.simulation import Success, Trial, evaluate, evaluate_all
@@ -22,6 +22,9 @@ class Clever:
     def __init__(self, simulator: LinearPoint, known: Sequence[str], forbidden: str = "") -> None:
         self.simulator, self.known, self.forbidden = simulator, known, forbidden
         self.calls: list[tuple[str, int, np.ndarray]] = []
+
+    def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
+        return lambda observation, running: self.act(observation, domain, [tasks[i] for i in running])
 
     def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
         self.calls.append((domain, len(task), observation.state))

@@ -9,7 +9,7 @@ import torch
 from lightning.pytorch import Trainer
 from torch import Tensor
 
-from datamodules.types import Batch
+from datamodules.types import Batch, Demand
 from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, tcc
 from plp_lightning.phases import Alignment
 from plp_lightning.phases.alignment import Term
@@ -81,8 +81,8 @@ def test_the_parts_of_a_step_are_the_separate_losses_and_their_weighted_sum(
 def test_only_tcc_asks_for_pairs(trajectory_file: Path) -> None:
     policy = tiny.policy(tiny.data_module(trajectory_file))
     demands = {"+".join(terms): build(policy, terms).demand for terms in ALL_TERMS}
-    assert {name for name, demand in demands.items() if demand == "pairs"} == {n for n in demands if "tcc" in n}
-    assert set(demands.values()) == {"pairs", "proxies"}
+    assert {name for name, d in demands.items() if d == Demand(pairs="thinned")} == {n for n in demands if "tcc" in n}
+    assert {d for name, d in demands.items() if "tcc" not in name} == {Demand()}
 
 
 def test_only_adversarial_training_has_a_discriminator(trajectory_file: Path) -> None:
@@ -102,7 +102,7 @@ def gradients(loss: Tensor, module: torch.nn.Module) -> list[Tensor]:
 def test_each_adversarial_loss_teaches_one_player_only(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     phase = build(tiny.policy(data), ["adversarial"])
-    batch = next(iter(data.loader("proxies")))
+    batch = next(iter(data.loader(Demand("proxies"))))
     total = phase.training_step(batch, 0)
     assert phase.discriminator is not None
     expected = separate_losses(phase, batch)
@@ -118,7 +118,7 @@ def test_each_adversarial_loss_teaches_one_player_only(trajectory_file: Path) ->
 def test_the_spread_of_the_latents_is_watched(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     phase = build(tiny.policy(data), [])
-    batch = next(iter(data.loader("proxies")))
+    batch = next(iter(data.loader(Demand("proxies"))))
     phase.training_step(batch, 0)
     latents = phase.policy.encode({d: s.observation for d, s in batch.transitions.items()})
     by_hand = torch.cat(list(latents.values())).std(dim=0).mean()

@@ -9,7 +9,8 @@ import tiny
 import torch
 from lightning.pytorch import Trainer
 
-from datamodules.types import DomainSpec
+from datamodules.problem import TransferProblem
+from datamodules.types import Demand
 from plp_lightning.callbacks.checkpointing import RandomState, best_and_last, read_checkpoint
 from plp_lightning.phases import Adaptation, Alignment
 from plp_lightning.policy import PortablePolicy
@@ -44,7 +45,7 @@ def test_every_part_of_the_loss_has_its_curve(
     data = tiny.data_module(trajectory_file)
     phase = Alignment(tiny.policy(data), ["mmd", "tcc"])
     make_trainer(epochs=1, logger=MetricsFile(tmp_path / "log")).fit(phase, datamodule=data)
-    steps = len(data.loader("pairs"))
+    steps = len(data.loader(Demand(pairs="thinned")))
     for name in ("bc", "mmd", "tcc", "loss", "latent_std"):
         assert len(logged(tmp_path / "log", f"train/{name}")) == steps
 
@@ -68,9 +69,7 @@ def test_a_checkpoint_rebuilds_the_policy_without_its_configuration(
     for which in ("best", "last"):
         checkpoint = read_checkpoint(tmp_path / "c" / f"{which}.ckpt")
         card = checkpoint["policy"]
-        again = PortablePolicy(
-            [DomainSpec.from_dict(d) for d in card["domains"]], card["tasks"], **card["architecture"]
-        )
+        again = PortablePolicy(TransferProblem.from_dict(card["problem"]), **card["architecture"])
         again.load_state_dict(
             {n.removeprefix("policy."): v for n, v in checkpoint["state_dict"].items() if n.startswith("policy.")}
         )

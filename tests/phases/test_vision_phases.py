@@ -14,6 +14,7 @@ from torch import Tensor
 from datamodules.errors import ConfigError
 from datamodules.images import ImageFile
 from datamodules.transfer import TransferDataModule
+from datamodules.types import Demand
 from plp_lightning.callbacks.checkpointing import RandomState, best_and_last
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.losses import behavioural_cloning, mmd, reconstruction, tcc
@@ -52,7 +53,7 @@ def align(data: TransferDataModule, terms: list[str], weight: float = 0.5) -> Re
 def test_one_pass_over_all_images_gives_the_losses_of_separate_passes(seen_file: Path) -> None:
     data = seen.data_module(seen_file)
     phase = align(data, ["mmd", "tcc"])
-    batch, counts = next(iter(data.loader("pairs"))), looks(phase)
+    batch, counts = next(iter(data.loader(Demand(pairs="thinned")))), looks(phase)
     total = phase.training_step(batch, 0)
     frames = sum(len(s.observation.state) for s in batch.pairs.values())
     assert counts == [32 + frames]
@@ -77,7 +78,7 @@ def test_one_pass_over_all_images_gives_the_losses_of_separate_passes(seen_file:
 def test_reconstruction_teaches_the_image_encoder(seen_file: Path) -> None:
     data = seen.data_module(seen_file)
     phase = align(data, [])
-    phase.training_step(next(iter(data.loader("proxies"))), 0)
+    phase.training_step(next(iter(data.loader(Demand("proxies")))), 0)
     parameters = [*phase.policy.image_encoder.parameters(), *phase.image_decoder.parameters()]  # type: ignore[union-attr]
     found = torch.autograd.grad(phase.parts["reconstruction"], parameters)
     assert all(gradient.abs().sum() > 0 for gradient in found)
@@ -87,7 +88,7 @@ def test_a_weight_of_zero_leaves_the_image_decoder_away(seen_file: Path) -> None
     data = seen.data_module(seen_file)
     phase = align(data, ["mmd"], weight=0.0)
     assert phase.image_decoder is None
-    phase.training_step(next(iter(data.loader("proxies"))), 0)
+    phase.training_step(next(iter(data.loader(Demand("proxies")))), 0)
     assert "reconstruction" not in phase.parts
 
 
@@ -185,7 +186,7 @@ def test_held_out_losses_of_adaptation_are_those_of_a_full_pass(
 @pytest.mark.parametrize("terms", [["mmd", "tcc"], ["adversarial", "tcc"]])
 def test_half_precision_gives_nearly_the_losses_of_single_precision(seen_file: Path, terms: list[str]) -> None:
     data = seen.data_module(seen_file)
-    batch, phase = next(iter(data.loader("pairs"))), align(data, terms)
+    batch, phase = next(iter(data.loader(Demand(pairs="thinned")))), align(data, terms)
     phase.training_step(batch, 0)
     single = phase.parts
     with torch.autocast("cpu", torch.bfloat16):

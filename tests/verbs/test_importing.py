@@ -10,6 +10,7 @@ import pytest
 from command import ROOT, TINY, complaint, plp
 
 from datamodules.hdf5 import TrajectoryFile
+from datamodules.types import Demand
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.verbs.config import parse
 
@@ -153,7 +154,7 @@ def test_collect_completes_an_imported_file(tmp_path):
     assert len(table.episode_task) == 18  # one of each proxy task
     rows = {row.tobytes() for row in imported.state}
     assert all(row.tobytes() in rows for row in table.observation.state.numpy())
-    batch = next(iter(experiment.data.loader("pairs")))
+    batch = next(iter(experiment.data.loader(Demand(pairs="thinned"))))
     assert batch.transitions["point"].action.abs().max() <= 1
     assert set(batch.pairs) == {"mirrored", "point"}
     assert plp("data", "validate", out).code == 0

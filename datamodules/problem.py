@@ -1,0 +1,44 @@
+"""What is to be transferred, in the terms that every policy is built from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from datamodules.normalization import Statistics
+from datamodules.types import DomainSpec
+
+
+@dataclass(frozen=True)
+class TransferProblem:
+    """What is to be transferred: all that a policy is built for.
+
+    Args:
+        domains: What each domain looks like; their order is the domain id.
+        tasks: Names of all tasks, the target's included; their order is the task id.
+        source_domain: Domain whose demonstrations of the target task adapt the policy.
+        target_domain: Domain that the policy is transferred to.
+        statistics: Of raw states, by domain; without them a checkpoint has to bring the scaling.
+    """
+
+    domains: Sequence[DomainSpec]
+    tasks: Sequence[str]
+    source_domain: str
+    target_domain: str
+    statistics: Mapping[str, Statistics] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain lists, strings and numbers, for checkpoints; the statistics stay behind."""
+        return {
+            "domains": [spec.to_dict() for spec in self.domains],
+            "tasks": list(self.tasks),
+            "source_domain": self.source_domain,
+            "target_domain": self.target_domain,
+        }
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> TransferProblem:
+        """Inverse of :meth:`to_dict`."""
+        domains = [DomainSpec.from_dict(spec) for spec in plain["domains"]]
+        return cls(domains, plain["tasks"], plain["source_domain"], plain["target_domain"])

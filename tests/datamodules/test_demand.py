@@ -1,0 +1,45 @@
+"""What phases may ask the DataModule for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import tiny
+
+from datamodules.types import Demand
+
+
+def test_all_steps_are_proxies_everywhere_and_the_target_in_the_source_domain(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    seen: dict[str, set[int]] = {}
+    for batch in data.loader(Demand("all")):
+        for domain, steps in batch.transitions.items():
+            seen.setdefault(domain, set()).update(steps.row.tolist())
+    tasks = {"flat": [*tiny.PROXIES, tiny.TARGET], "tall": [*tiny.PROXIES]}
+    for domain, names in tasks.items():
+        rows = set(data.rows(names, "train")[domain].tolist())
+        assert seen[domain] <= rows
+        assert data.tasks.index(tiny.TARGET) in data.tables[domain].task[list(seen[domain])] or domain == "tall"
+
+
+def test_whole_pairs_alone_are_full_trajectories_with_their_actions(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    loader = data.loader(Demand("none", pairs="whole"))
+    assert len(loader) == -(-len(data.episodes("tall", tiny.PROXIES, "train")) // data.pairs)
+    for batch in loader:
+        assert batch.transitions == {}
+        assert list(batch.pairs) == ["flat", "tall"]
+        for domain, sequences in batch.pairs.items():
+            table = data.tables[domain]
+            known = {
+                tuple(table.action[rows].flatten().tolist()) for rows in map(slice, table.offset, table.offset[1:])
+            }
+            for frame, mask in zip(sequences.frame, sequences.mask, strict=True):
+                assert tuple(sequences.action[frame[mask]].flatten().tolist()) in known
+
+
+def test_steps_say_what_follows_them_only_if_asked(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    for course in (False, True):
+        for batch in data.loader(Demand("mix", course=course)):
+            assert all((steps.course is not None) == course for steps in batch.transitions.values())
