@@ -14,8 +14,7 @@ from lightning.pytorch import Callback, Trainer
 
 from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
-from plp_lightning import callbacks, envs, experts  # noqa: F401  (short class names work once these are imported)
-from plp_lightning.callbacks.latent_picture import LatentPicture  # noqa: F401
+from plp_lightning import baselines, callbacks, envs, experts  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.collect import ExpertCollector, Recipe
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation.scores import AlignmentScore
