@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from datamodules.types import Batch, Demand, Observation, Transitions
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.phases.base import Phase
+from plp_lightning.phases.base import Phase, Schedule
 from plp_lightning.policy import PortablePolicy
 
 
@@ -24,13 +24,21 @@ class Adaptation(Phase[PortablePolicy]):
         epochs: Passes over the target task's data and its mix.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate; the paper names none.
     """
 
     trains = PortablePolicy
     demand = Demand("mix", images=False)
 
-    def __init__(self, policy: PortablePolicy, epochs: int = 50, lr: float = 1e-4, weight_decay: float = 0.0) -> None:
-        super().__init__(policy, epochs, lr, weight_decay)
+    def __init__(
+        self,
+        policy: PortablePolicy,
+        epochs: int = 50,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
         self.latents: dict[str, Tensor] = {}
 
     @property

@@ -14,7 +14,7 @@ from plp_lightning.base_policy import Parts
 from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, reconstruction, tcc
 from plp_lightning.networks import DomainDiscriminator, ImageDecoder
 from plp_lightning.networks.vision import halvings
-from plp_lightning.phases.base import Phase
+from plp_lightning.phases.base import Phase, Schedule
 from plp_lightning.policy import PortablePolicy
 
 Term = Literal["mmd", "tcc", "adversarial"]
@@ -44,6 +44,7 @@ class Alignment(Phase[PortablePolicy]):
         epochs: Passes over the proxy data, counted in samples of all domains together.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate; the paper names none.
     """
 
     trains = PortablePolicy
@@ -64,8 +65,9 @@ class Alignment(Phase[PortablePolicy]):
         epochs: int = 100,
         lr: float = 1e-4,
         weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay)
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
         self.weights: dict[str, float] = {
             "mmd": mmd_weight,
             "tcc": tcc_weight,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import torch
 from lightning.pytorch import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
@@ -15,6 +16,7 @@ from plp_lightning.base_policy import Policy
 from plp_lightning.losses import behavioural_cloning
 
 P = TypeVar("P", bound=Policy)
+Schedule = Literal["constant", "cosine"]
 
 
 class Phase(LightningModule, Generic[P]):
@@ -25,6 +27,7 @@ class Phase(LightningModule, Generic[P]):
         epochs: Passes over the phase's data.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW; torch's own default is not zero, the paper's is.
+        lr_schedule: ``constant``, or from ``lr`` down to 0 along half a ``cosine`` over all steps of the phase.
 
     Raises:
         ConfigError: If it is a phase for other policies.
@@ -35,7 +38,9 @@ class Phase(LightningModule, Generic[P]):
     demand: Demand = Demand()
     """Which batches the DataModule shall give."""
 
-    def __init__(self, policy: P, epochs: int, lr: float, weight_decay: float = 0.0) -> None:
+    def __init__(
+        self, policy: P, epochs: int, lr: float, weight_decay: float = 0.0, lr_schedule: Schedule = "constant"
+    ) -> None:
         super().__init__()
         if not isinstance(policy, self.trains):
             raise ConfigError(
@@ -43,7 +48,7 @@ class Phase(LightningModule, Generic[P]):
                 "choose policy and phases together, as configs/methods do"
             )
         self.policy = policy
-        self.epochs, self.lr, self.weight_decay = epochs, lr, weight_decay
+        self.epochs, self.lr, self.weight_decay, self.lr_schedule = epochs, lr, weight_decay, lr_schedule
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
@@ -54,10 +59,19 @@ class Phase(LightningModule, Generic[P]):
         """What the optimiser may change."""
         return (parameter for parameter in self.parameters() if parameter.requires_grad)
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """AdamW, no schedule (paper, appendix), in its fused form: one pass over all parameters."""
+    def optimizer(self) -> torch.optim.Optimizer:
+        """AdamW (paper, appendix), in its fused form: one pass over all parameters."""
         parameters = list(self.trained_parameters())
         return torch.optim.AdamW(parameters, lr=self.lr, weight_decay=self.weight_decay, fused=True)
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """The optimiser and, unless the rate is constant, what lowers its rate after every step."""
+        optimizer = self.optimizer()
+        if self.lr_schedule == "constant":
+            return optimizer
+        steps = int(self.trainer.estimated_stepping_batches)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Behavioural-cloning loss on held-out trajectories, for each domain."""

@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import tiny
 import torch
-from lightning.pytorch import Trainer
+from lightning.pytorch import Callback, Trainer
 
 from datamodules.problem import TransferProblem
 from datamodules.types import Demand
@@ -93,3 +94,21 @@ def test_a_run_that_was_stopped_gives_the_weights_of_an_unbroken_one(
     run("broken", 2)
     resumed = run("broken", 3, tmp_path / "broken" / "last.ckpt")
     assert all(torch.equal(unbroken[name], resumed[name]) for name in unbroken)
+
+
+def test_cosine_lowers_the_rate_to_nothing_over_the_whole_phase(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = Alignment(tiny.policy(data), ["mmd"], lr=0.5, lr_schedule="cosine")
+    rates: list[float] = []
+
+    class Rates(Callback):
+        def on_train_batch_start(self, trainer: Trainer, *_: object) -> None:
+            rates.append(trainer.optimizers[0].param_groups[0]["lr"])
+
+    trainer = make_trainer(Rates(), epochs=2)
+    trainer.fit(phase, datamodule=data)
+    steps = 2 * len(data.loader(Demand()))
+    assert rates == pytest.approx([0.25 * (1 + math.cos(math.pi * i / steps)) for i in range(steps)])
+    assert trainer.optimizers[0].param_groups[0]["lr"] == pytest.approx(0)
