@@ -21,8 +21,8 @@ EVALUATION = "plp_lightning.experiment:evaluate_all"
 PHASES = ("alignment", "adaptation")
 SCHEDULES = ["--alignment.lr_schedule", "cosine", "--adaptation.lr_schedule", "cosine"]
 ALL = ["--alignment.terms", "[mmd, tcc, adversarial]", *SCHEDULES]
-"""All losses at once, so that every stream of random numbers is in play, and rates that change. Steps 1 to 6 and 7 to 12 are its epochs of
-alignment, 13 to 15 and 16 to 18 those of adaptation."""
+"""All losses at once, so that every stream of random numbers is in play, and rates that change. Steps 1 to 6 and 7 to
+12 are its epochs of alignment, 13 to 15 and 16 to 18 those of adaptation."""
 
 
 @pytest.fixture(scope="module")
