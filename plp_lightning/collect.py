@@ -147,15 +147,16 @@ def demonstrate(job: Job, recipe: Recipe) -> list[Trajectory]:
 def _attempt(job: Job, seeds: list[int], recipe: Recipe) -> list[Trajectory]:
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
-    recorder = Recorder(domain, tasks, seeds, recipe.noise, recipe.wander)
-    episodes = rollout(domain.simulator, recorder.act, tasks, seeds, recipe.linger)
+    demonstrator = Demonstrator(domain, tasks, seeds, recipe.noise, recipe.wander)
+    episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.linger)
     solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.wander))
     return [
-        Trajectory(job.domain, job.task, *recorder.episode(int(i)), seed=seeds[int(i)], success=True) for i in solved
+        Trajectory(job.domain, job.task, *demonstrator.episode(int(i)), seed=seeds[int(i)], success=True)
+        for i in solved
     ]
 
 
-class Recorder:
+class Demonstrator:
     """Lets an expert act and writes down what it saw and did.
 
     Args:

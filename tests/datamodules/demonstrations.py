@@ -6,6 +6,8 @@ import numpy as np
 
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
 
+SPECS = (ARM, CAMERA)
+WHY = {"command": "plp collect", "seed": 3}
 TASKS = ("reach", "push", "lift")
 ARM = DomainSpec("arm", (ObservationKey("pos", (3,), unit="m"), ObservationKey("grip", (1,))), 4, 20.0, "an arm")
 CAMERA = DomainSpec(

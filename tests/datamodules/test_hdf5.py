@@ -6,23 +6,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from demonstrations import ARM, CAMERA, TASKS, assert_equal, demonstration, demonstrations
+from demonstrations import ARM, CAMERA, SPECS, TASKS, WHY, assert_equal, demonstration, demonstrations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datamodules.errors import TrajectoryFileError, UserError
 from datamodules.hdf5 import TrajectoryFile, add_trajectories, write_trajectories
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
-
-SPECS = (ARM, CAMERA)
-WHY = {"command": "plp collect", "seed": 3}
-
-
-@pytest.fixture
-def path(tmp_path):
-    target = tmp_path / "data" / "demos.hdf5"
-    write_trajectories(target, SPECS, TASKS, demonstrations(), WHY)
-    return target
 
 
 @st.composite

@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from demonstrations import ARM, CAMERA, TASKS, assert_equal, demonstration, demonstrations
+from demonstrations import ARM, SPECS, TASKS, WHY, assert_equal, demonstration, demonstrations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,16 +19,6 @@ from datamodules import recording
 from datamodules.errors import TrajectoryFileError
 from datamodules.hdf5 import FORMAT, FORMAT_VERSION, TrajectoryFile, add_trajectories, verify_hashes, write_trajectories
 from datamodules.types import Trajectory
-
-SPECS = (ARM, CAMERA)
-WHY = {"command": "plp collect", "seed": 3}
-
-
-@pytest.fixture
-def path(tmp_path):
-    target = tmp_path / "data" / "demos.hdf5"
-    write_trajectories(target, SPECS, TASKS, demonstrations(), WHY)
-    return target
 
 
 def everything(path: Path) -> list[Trajectory]:
