@@ -6,13 +6,13 @@ import numpy as np
 
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
 
-SPECS = (ARM, CAMERA)
-WHY = {"command": "plp collect", "seed": 3}
 TASKS = ("reach", "push", "lift")
 ARM = DomainSpec("arm", (ObservationKey("pos", (3,), unit="m"), ObservationKey("grip", (1,))), 4, 20.0, "an arm")
 CAMERA = DomainSpec(
     "camera", (ObservationKey("image", (4, 5, 3), "image"), ObservationKey("joints", (2,), unit="rad")), 2, 10.0
 )
+SPECS = (ARM, CAMERA)
+WHY = {"command": "plp collect", "seed": 3}
 
 
 def demonstration(spec: DomainSpec, task: str, seed: int, steps: int = 5) -> Trajectory:
