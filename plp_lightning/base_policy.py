@@ -20,7 +20,7 @@ Observations = Mapping[str, Observation[Tensor]]
 
 
 class Policy(nn.Module, ABC):
-    """Acts in any of the domains, on any of the tasks.
+    """Acts in the domains, on any of the tasks.
 
     Args:
         problem: Domains and tasks.
@@ -32,6 +32,11 @@ class Policy(nn.Module, ABC):
         self.problem, self.architecture = problem, architecture
         self.domains = {spec.name: spec for spec in problem.domains}
         self.tasks = {name: i for i, name in enumerate(problem.tasks)}
+
+    @property
+    def acts_in(self) -> tuple[str, ...]:
+        """Domains in which its actions mean something; in the others it is not evaluated."""
+        return tuple(self.domains)
 
     @abstractmethod
     def decide(self, observation: Observations, task: Parts) -> dict[str, Tensor]:

@@ -94,6 +94,10 @@ class Experiment:
             "proxy_source": Trial(data.source_domain, data.proxies),
         }
 
+    def trials_of(self, policy: Policy) -> dict[str, Trial]:
+        """The trials in domains that a policy acts in."""
+        return {name: trial for name, trial in self.trials.items() if trial.domain in policy.acts_in}
+
     def build_policy(self) -> Policy:
         """The policy, untrained, for the domains, tasks and statistics of the data."""
         return self.policy(self.data.problem)
@@ -105,7 +109,7 @@ class Experiment:
         seed: int | None = None,
         recorders: Mapping[str, Simulator] | None = None,
     ) -> dict[str, Success]:
-        """Outcome of every trial at the end of training.
+        """Outcome of every trial of a policy at the end of training.
 
         Args:
             policy: The trained policy, in eval mode.
@@ -115,7 +119,7 @@ class Experiment:
         """
         episodes = self.evaluation.final_episodes if episodes is None else episodes
         seed = self.seed if seed is None else seed
-        return evaluate_all(policy, self.simulators, self.trials, episodes, seed, recorders)
+        return evaluate_all(policy, self.simulators, self.trials_of(policy), episodes, seed, recorders)
 
     def alignment(self, policy: Policy) -> dict[str, float]:
         """Alignment scores of a policy at the end of a phase; empty without a score or anything to score."""

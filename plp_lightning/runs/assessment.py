@@ -56,10 +56,10 @@ class Assessment:
 
 
 def held_out_predictions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Predicted and demonstrated actions ``(N, A)`` on the held-out trajectories, by domain."""
+    """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in."""
     policy, data = assessment.policy, assessment.experiment.data
-    found = {}
-    for domain, rows in data.rows([*data.proxies, *data.target_tasks], "held_out").items():
+    found, rows_of = {}, data.rows([*data.proxies, *data.target_tasks], "held_out")
+    for domain, rows in ((domain, rows_of[domain]) for domain in rows_of if domain in policy.acts_in):
         steps = data.tables[domain].take(torch.from_numpy(rows))
         with torch.inference_mode():
             action = policy.decide({domain: steps.observation}, {domain: steps.task})[domain]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from lightning.pytorch import Trainer
 
+from plp_lightning.base_policy import Policy
 from plp_lightning.callbacks.picture import publish, publish_film
 from plp_lightning.evaluation.film_figure import film_figure, film_frames
 from plp_lightning.evaluation.films import FilmRecorder, film_recorders
@@ -36,9 +37,9 @@ class EpisodePictures:
     shown: int
 
     @classmethod
-    def of(cls, experiment: Experiment) -> EpisodePictures:
-        """For the target task in target and source domain."""
-        trials = {name: trial for name, trial in experiment.trials.items() if name in ("target", "source")}
+    def of(cls, experiment: Experiment, policy: Policy) -> EpisodePictures:
+        """For the target task in target and source domain, as far as the policy acts there."""
+        trials = {name: trial for name, trial in experiment.trials_of(policy).items() if name in ("target", "source")}
         titles = {name: f"{experiment.data.target} in {name} domain: {trial.domain}" for name, trial in trials.items()}
         shown = experiment.evaluation.films
         paths = path_recorders(experiment.simulators, trials)

@@ -152,7 +152,11 @@ def build_trainer(
             TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed_step),
             MetricsFile(folder),
         ],
-        callbacks=[*_own_callbacks(experiment, run, name), *further, *copy.deepcopy(list(experiment.callbacks))],
+        callbacks=[
+            *_own_callbacks(experiment, run, name, phase.policy),
+            *further,
+            *copy.deepcopy(list(experiment.callbacks)),
+        ],
         plugins=[AtomicCheckpointIO()],
         enable_progress_bar=False,
     )
@@ -165,14 +169,14 @@ def quiet_lightning() -> None:
         warnings.filterwarnings("ignore", message=message)
 
 
-def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list[Callback]:
+def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, policy: Policy) -> list[Callback]:
     plan, simulators = experiment.evaluation, experiment.simulators
     every = plan.every_n_epochs.get(name)
     found: list[Callback] = [
         FreezeGuard(),
         FiniteGuard(),
         RandomState(),
-        SimulatorEvaluation(simulators, experiment.trials, plan.episodes, every, experiment.seed),
+        SimulatorEvaluation(simulators, experiment.trials_of(policy), plan.episodes, every, experiment.seed),
     ]
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
@@ -188,7 +192,7 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str) -> list
 def assess(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, Any]:
     """Success in all trials and alignment scores at the end of a phase; episodes of the target task are pictured."""
     policy.eval()
-    pictures = EpisodePictures.of(experiment)
+    pictures = EpisodePictures.of(experiment, policy)
     outcomes = experiment.evaluate(policy, recorders=pictures.stages)
     scores = experiment.alignment(policy)
     pictures.publish(trainer)

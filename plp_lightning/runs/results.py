@@ -88,7 +88,8 @@ def _print_table(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
     for column in ("success", "rate", "95 % interval", "before adaptation", "episodes", "invalid"):
         table.add_column(column, justify="left" if column == "success" else "right")
     for trial, label in ROWS.items():
-        table.add_row(label, *_cells(outcomes[trial]))
+        if trial in outcomes:
+            table.add_row(label, *_cells(outcomes[trial]))
     Console(width=None if Console().is_terminal else 110).print(table)
 
 
