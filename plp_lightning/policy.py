@@ -21,6 +21,8 @@ from plp_lightning.base_policy import AligningPolicy, Observations, Parts
 from plp_lightning.networks import ActionDecoder, CommonPolicy, DomainColumns, ImageEncoder, Sharing, StateEncoder
 from plp_lightning.scaling import InputScaler
 
+DecoderState = Literal["none", "proprioception", "all"] | list[str]
+
 
 class Forward(NamedTuple):
     """What the policy makes of a batch."""
@@ -43,7 +45,8 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
-        decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys.
+        decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys. A state holds
+            what a robot senses of itself, so that ``proprioception`` is all of it; images never reach the decoder.
         columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
             domains whose vectors mean the same.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
@@ -65,7 +68,7 @@ class PortablePolicy(AligningPolicy):
         policy_layers: int = 4,
         decoder_layers: int = 3,
         gradient_floor: float = 0.1,
-        decoder_state: Literal["none", "all"] | list[str] = "none",
+        decoder_state: DecoderState = "none",
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
         clip: float = 5.0,
@@ -159,13 +162,14 @@ def _split(joined: Tensor, observation: Observations) -> dict[str, Tensor]:
     return dict(zip(observation, joined.split(sizes), strict=True))
 
 
-def _context_columns(spec: DomainSpec, decoder_state: Literal["none", "all"] | list[str]) -> list[int]:
+def _context_columns(spec: DomainSpec, decoder_state: DecoderState) -> list[int]:
     if decoder_state == "none":
         return []
-    if decoder_state == "all":
+    if decoder_state in ("proprioception", "all"):
         return list(range(spec.state_size))
     if isinstance(decoder_state, str):
-        raise ConfigError(f"decoder_state is {decoder_state!r}; expected 'none', 'all' or a list of observation keys")
+        known = "'none', 'all' or a list of observation keys, or 'proprioception'"
+        raise ConfigError(f"decoder_state is {decoder_state!r}; expected {known}")
     return spec.columns(decoder_state)
 
 
