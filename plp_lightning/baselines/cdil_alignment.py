@@ -1,0 +1,182 @@
+"""CDIL's translation of states, learned from unpaired, unaligned trajectories without looking at any action."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.types import Batch, Demand, Transitions
+from plp_lightning.baselines.cdil import CdilPolicy
+from plp_lightning.baselines.cdil_networks import OTHER, Role, TaskNetwork
+from plp_lightning.baselines.cdil_phases import CdilPhase, now_and_following
+from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made
+
+
+class Steps(NamedTuple):
+    """Steps of one domain, as the translation looks at them."""
+
+    states: Tensor
+    """Scaled states and those after them, ``(2, B, O)``."""
+    task: Tensor
+    """``(B,)``."""
+    shared: Tensor
+    """``(B,)``: 1 where both domains have demonstrations of the task, 0 else."""
+    moves: Tensor
+    """``(B,)``: the same, and 0 where no state follows either."""
+
+
+class RoundTrip(NamedTuple):
+    """States that were translated into the other domain and back."""
+
+    latent: Tensor
+    """Of the states, ``(2, B, Z)``."""
+    abroad: Tensor
+    """In the other domain, ``(2, B, O')``."""
+    latent_abroad: Tensor
+    """Of those, ``(2, B, Z)``."""
+    home: Tensor
+    """Back again, ``(2, B, O)``."""
+
+
+class CdilAlignment(CdilPhase):
+    """Adversarial translation that is consistent in cycles, latent cycles and temporal position (CDIL's second step).
+
+    Discriminators look at two states that follow each other and at the task, so that what is translated has to move
+    like the other domain. The target task has demonstrations in the source domain alone: they take part in the terms
+    that need no counterpart, the two cycles ("inference-time adaptation"). No coefficient of the authors is known;
+    those of the cycle and the least-squares loss are CycleGAN's, all others are 1, see ``docs/methods/cdil.md``.
+
+    Args:
+        policy: The policy with trained position models.
+        adversarial_weight: Of the translator's loss against the discriminators.
+        cycle_weight: Of the cycle x → y → x, and its mirror image.
+        latent_weight: Of the latent cycle.
+        position_weight: Of the consistency of temporal positions.
+        discriminator_layers: Hidden layers of each discriminator.
+        discriminator_hidden: Units in its hidden layers.
+        discriminator_lr: Learning rate of the discriminators; None is ``lr``.
+        first_moment: β₁ of AdamW, for all players.
+        epochs: Passes over all data that there is.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+    """
+
+    demand = Demand("all", images=False, course=True)
+    parts_trained = ("translator",)
+
+    def __init__(
+        self,
+        policy: CdilPolicy,
+        adversarial_weight: float = 1.0,
+        cycle_weight: float = 10.0,
+        latent_weight: float = 1.0,
+        position_weight: float = 1.0,
+        discriminator_layers: int = 3,
+        discriminator_hidden: int = 192,
+        discriminator_lr: float | None = None,
+        first_moment: float = 0.5,
+        epochs: int = 20,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay)
+        self.weights = {
+            "adversarial": adversarial_weight,
+            "cycle": cycle_weight,
+            "latent": latent_weight,
+            "position": position_weight,
+            "discriminator": 1.0,
+        }
+        self.discriminator_lr, self.first_moment = lr if discriminator_lr is None else discriminator_lr, first_moment
+        sizes = {role: policy.domains[domain].state_size for domain, role in policy.roles.items()}
+        tasks, hidden, layers = len(policy.tasks), discriminator_hidden, discriminator_layers
+        self.discriminators = nn.ModuleDict(
+            {role: TaskNetwork(2 * size, tasks, 1, hidden, layers) for role, size in sizes.items()}
+        )
+        self.register_buffer("shared", torch.ones(tasks), persistent=False)
+
+    shared: Tensor
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """One AdamW for all players, whose losses reach nobody else's parameters."""
+        groups = [
+            {"params": [*self.policy.translator.parameters()], "lr": self.lr},
+            {"params": [*self.discriminators.parameters()], "lr": self.discriminator_lr},
+        ]
+        betas = (self.first_moment, 0.999)
+        return torch.optim.AdamW(groups, betas=betas, weight_decay=self.weight_decay, fused=True)
+
+    def on_fit_start(self) -> None:
+        """Note which tasks are demonstrated in both domains."""
+        proxies = self.trainer.datamodule.proxies  # type: ignore[attr-defined]
+        self.shared.copy_(torch.tensor([float(task in proxies) for task in self.policy.tasks]))
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """All terms, each the sum of both directions."""
+        steps, trips = self._travel(batch)
+        return self._weighted([*self._consistency(steps, trips), *self._contest(steps, trips)])
+
+    def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
+        """The terms that can be compared between epochs: both directions, and no discriminator has a say in them."""
+        if len(batch.transitions) < 2:
+            return {}
+        return self._weighted([*self._consistency(*self._travel(batch))])
+
+    def _travel(self, batch: Batch) -> tuple[dict[Role, Steps], dict[Role, RoundTrip]]:
+        steps = {self.policy.roles[domain]: self._look(found, domain) for domain, found in batch.transitions.items()}
+        return steps, {role: self._round_trip(found.states, role) for role, found in steps.items()}
+
+    def _look(self, steps: Transitions, domain: str) -> Steps:
+        assert steps.course is not None, "the course of steps is demanded"
+        states = torch.stack(now_and_following(self.policy, steps, domain))
+        shared = self.shared[steps.task]
+        return Steps(states, steps.task, shared, shared * ~steps.course.last)
+
+    def _round_trip(self, states: Tensor, role: Role) -> RoundTrip:
+        there = self.policy.translator(states, role)
+        back = self.policy.translator(there.state, OTHER[role])
+        return RoundTrip(there.latent, there.state, back.latent, back.state)
+
+    def _weighted(self, terms: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+        return {
+            name: self.weights[name] * torch.stack([term[name] for term in terms if name in term]).sum()
+            for name in self.weights
+            if any(name in term for term in terms)
+        }
+
+    def _consistency(self, steps: Mapping[Role, Steps], trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
+        """Terms that hold for each domain by itself."""
+        for role, trip in trips.items():
+            yield {
+                "cycle": cycle(steps[role].states, trip.home),
+                "latent": cycle(trip.latent, trip.latent_abroad),
+                "position": self._position_gap(steps[role], trip, role),
+            }
+
+    def _contest(self, steps: Mapping[Role, Steps], trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
+        """What the translator and the discriminators lose, in each domain that is translated into."""
+        for role, trip in trips.items():
+            other, own = OTHER[role], steps[role]
+            made = self.policy.pace(*trip.abroad, other)
+            fooled = self._judge(other).judge(made, own.task)[:, 0]
+            yield {
+                "adversarial": passing_for_real(fooled, own.moves),
+                "discriminator": self._discrimination(other, steps[other], made.detach(), own),
+            }
+
+    def _judge(self, role: Role) -> TaskNetwork:
+        judge = self.discriminators[role]
+        assert isinstance(judge, TaskNetwork)
+        return judge
+
+    def _position_gap(self, own: Steps, trip: RoundTrip, role: Role) -> Tensor:
+        here = self.policy.position(own.states[0], own.task, role).detach()
+        return position_gap(here, self.policy.position(trip.abroad[0], own.task, OTHER[role]), own.shared)
+
+    def _discrimination(self, role: Role, real: Steps, made: Tensor, of: Steps) -> Tensor:
+        pairs = torch.cat([self.policy.pace(*real.states, role), made])
+        judged: Tensor = self.discriminators[role](pairs, torch.cat([real.task, of.task]))[:, 0]
+        return real_or_made(*judged.split([len(real.task), len(of.task)]), real.moves, of.moves)

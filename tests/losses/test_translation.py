@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made, weighted_mean
+
+
+def draw(*shape: int, seed: int = 0) -> Tensor:
+    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def one_by_one(value: Tensor, weight: Tensor) -> float:
+    total = sum(weight.tolist())
+    return sum(v * w for v, w in zip(value.tolist(), weight.tolist(), strict=True)) / total
+
+
+def test_discriminator_loss_is_half_the_squared_distance_from_one_and_from_zero() -> None:
+    real, made, of_real, of_made = draw(5), draw(7, seed=1), draw(5, seed=2).abs(), draw(7, seed=3).abs()
+    by_hand = 0.5 * one_by_one((real - 1) ** 2, of_real) + 0.5 * one_by_one(made**2, of_made)
+    assert real_or_made(real, made, of_real, of_made).item() == pytest.approx(by_hand)
+
+
+@pytest.mark.parametrize(("real", "made", "loss"), [(1.0, 0.0, 0.0), (0.0, 1.0, 1.0), (0.5, 0.5, 0.25), (1.0, 1.0, 0.5)])
+def test_discriminator_loss_of_known_judgements(real: float, made: float, loss: float) -> None:
+    one = torch.ones(1)
+    assert real_or_made(torch.tensor([real]), torch.tensor([made]), one, one).item() == loss
+
+
+def test_samples_without_weight_count_for_nothing() -> None:
+    weight = torch.tensor([1.0, 0.0, 1.0])
+    judged, other = torch.tensor([0.0, 77.0, 0.5]), torch.tensor([0.0, -5.0, 0.5])
+    assert passing_for_real(judged, weight) == passing_for_real(other, weight) == 0.625
+    assert real_or_made(judged, judged, weight, weight) == real_or_made(other, other, weight, weight)
+    assert position_gap(judged, torch.zeros(3), weight) == position_gap(other, torch.zeros(3), weight) == 0.125
+
+
+def test_a_batch_without_any_weight_costs_nothing_and_has_a_gradient() -> None:
+    judged = torch.tensor([3.0, 4.0], requires_grad=True)
+    loss = passing_for_real(judged, torch.zeros(2))
+    loss.backward()
+    assert loss.item() == 0
+    assert judged.grad is not None
+    assert judged.grad.tolist() == [0, 0]
+
+
+@given(st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 1)), min_size=1, max_size=6), st.floats(0.1, 10))
+def test_weighted_mean_is_that_of_single_samples_whatever_the_unit_of_weights(
+    samples: list[tuple[float, float]], unit: float
+) -> None:
+    value, weight = torch.tensor(samples, dtype=torch.float64).T
+    expected = pytest.approx(one_by_one(value, weight), abs=1e-12)
+    assert weighted_mean(value, weight).item() == expected
+    assert weighted_mean(value, weight * unit).item() == expected
+
+
+def test_fooling_moves_judgements_up_and_discriminating_moves_them_down() -> None:
+    judged, weight = torch.tensor([0.25], requires_grad=True), torch.ones(1)
+    (up,) = torch.autograd.grad(passing_for_real(judged, weight), judged)
+    (down,) = torch.autograd.grad(real_or_made(torch.ones(1), judged, weight, weight), judged)
+    assert (up.item(), down.item()) == (-1.5, 0.25)
+
+
+def test_cycle_is_the_mean_absolute_difference() -> None:
+    here, back = draw(2, 4, 3), draw(2, 4, 3, seed=1)
+    by_hand = sum(abs(a - b) for a, b in zip(here.flatten().tolist(), back.flatten().tolist(), strict=True)) / 24
+    assert cycle(here, back).item() == pytest.approx(by_hand)
+    assert cycle(here, back) == cycle(back, here)
+    assert cycle(here, here) == 0
+
+
+def test_cycle_does_not_broadcast() -> None:
+    with pytest.raises(AssertionError, match=r"expected \(4, 3\), got \(4, 1\)"):
+        cycle(torch.zeros(4, 3), torch.zeros(4, 1))
+
+
+def test_weights_do_not_broadcast() -> None:
+    with pytest.raises(AssertionError, match=r"one weight a sample \(4,\), got \(1,\)"):
+        weighted_mean(torch.zeros(4), torch.ones(1))
+
+
+def test_position_gap_is_the_weighted_squared_difference() -> None:
+    here, abroad, weight = draw(6).sigmoid(), draw(6, seed=1).sigmoid(), draw(6, seed=2).abs()
+    by_hand = one_by_one((here - abroad) ** 2, weight)
+    assert position_gap(here, abroad, weight).item() == pytest.approx(by_hand)
