@@ -48,6 +48,8 @@ class Table:
     """``(E + 1,)`` int64: trajectory e is rows ``offset[e]`` to ``offset[e + 1]``."""
     episode_task: np.ndarray
     """``(E,)`` int64."""
+    episode_seed: np.ndarray
+    """``(E,)`` int64: seed of the initial state."""
 
     def __len__(self) -> int:
         return len(self.action)
@@ -94,6 +96,10 @@ class Table:
         """Ids of the trajectories of ``tasks``, in order."""
         return np.flatnonzero(np.isin(self.episode_task, tasks))
 
+    def episode_of(self, rows: np.ndarray) -> np.ndarray:
+        """Trajectory id of each row."""
+        return np.searchsorted(self.offset, rows, side="right") - 1
+
     def rows_of(self, episodes: np.ndarray) -> np.ndarray:
         """Rows of the given trajectories, end to end."""
         lengths = self.offset[episodes + 1] - self.offset[episodes]
@@ -109,8 +115,11 @@ def build_table(
     actions: np.ndarray,
     offset: np.ndarray,
     episode_task: np.ndarray,
+    episode_seed: np.ndarray,
 ) -> Table:
     """Wrap the arrays of a trajectory file; the tensors share their memory."""
     observation = StoredObservation(torch.from_numpy(state), image)
     task = torch.from_numpy(np.repeat(episode_task.astype(np.int64), np.diff(offset)))
-    return Table(spec, observation, torch.from_numpy(actions), task, offset, episode_task.astype(np.int64))
+    return Table(
+        spec, observation, torch.from_numpy(actions), task, offset, episode_task.astype(np.int64), episode_seed
+    )

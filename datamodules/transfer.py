@@ -142,7 +142,8 @@ class TransferDataModule(LightningDataModule):
         arrays = file.read(domain, chosen, images=False)
         index = {name: i for i, name in enumerate(self.tasks)}
         episode_task = np.array([index[name] for name in arrays.task])
-        return build_table(file.spec(domain), arrays.state, image, arrays.actions, arrays.offset, episode_task)
+        seed = file.episodes(domain).seed[chosen]
+        return build_table(file.spec(domain), arrays.state, image, arrays.actions, arrays.offset, episode_task, seed)
 
     @property
     def specs(self) -> list[DomainSpec]:

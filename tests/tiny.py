@@ -84,7 +84,7 @@ def table(domain: DomainSpec, lengths: list[int], tasks: list[int]) -> Table:
     state = np.repeat(np.arange(steps, dtype=np.float32)[:, None], domain.state_size, axis=1)
     actions = np.random.default_rng(0).uniform(-1, 1, (steps, domain.action_size)).astype(np.float32)
     offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return build_table(domain, state, None, actions, offset, np.array(tasks))
+    return build_table(domain, state, None, actions, offset, np.array(tasks), np.arange(len(tasks)))
 
 
 def statistics(domain: DomainSpec, seed: int) -> Statistics:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from sklearn.manifold import TSNE
@@ -14,19 +17,31 @@ from datamodules.transfer import TransferDataModule
 from plp_lightning.base_policy import AligningPolicy
 from plp_lightning.callbacks.picture import publish
 from plp_lightning.envs.base import Simulator
-from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_states
+from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_rows
 from plp_lightning.phases import Phase
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 """One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart
 (https://jfly.uni-koeln.de/color/)."""
 
+MARKERS = "o^sDvP"
+"""One a domain, in turn."""
+LEGEND: dict[str, Any] = {
+    "loc": "upper center",
+    "bbox_to_anchor": (0.5, 0),
+    "ncols": 3,
+    "markerscale": 2,
+    "frameon": False,
+    "fontsize": 10,
+}
+
 
 class LatentPicture(Callback):
     """t-SNE of all domains' latent states on proxy tasks, at the end of a phase or every n epochs.
 
     As in the paper (Figure 3), lines join states of source and target domain that correspond. The target task in
-    the target domain is never read.
+    the target domain is never read. Where a simulator tells how an episode is arranged, the same points are also
+    coloured by that: whether latent states know it decides whether a task can be adapted to.
 
     Args:
         samples: States of each domain.
@@ -57,8 +72,22 @@ class LatentPicture(Callback):
 
     def _draw(self, trainer: Trainer, policy: AligningPolicy) -> None:
         data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]
-        latents = {d: encode(policy, d, sample_states(data, d, self.samples)).numpy() for d in data.domains}
-        publish(trainer, "latents", latent_figure(latents, self._joined(policy, data)))
+        rows = {d: sample_rows(data, d, self.samples) for d in data.domains}
+        seen = {d: data.tables[d].observation.take(torch.from_numpy(chosen)) for d, chosen in rows.items()}
+        latents = {d: encode(policy, d, states).numpy() for d, states in seen.items()}
+        kinds = {d: self._arrangements(data, d, chosen) for d, chosen in rows.items()}
+        publish(trainer, "latents", latent_figure(latents, self._joined(policy, data), kinds))
+
+    def _arrangements(self, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[str]:
+        """Of each row's episode; empty if the simulator knows of none."""
+        if domain not in self.simulators:
+            return []
+        table, simulator = data.tables[domain], self.simulators[domain]
+        episodes = table.episode_of(rows)
+        tasks = [data.tasks[i] for i in table.episode_task[episodes]]
+        seeds = table.episode_seed[episodes].tolist()
+        found = [simulator.arrangement(task, seed) for task, seed in zip(tasks, seeds, strict=True)]
+        return [name for name in found if name is not None]
 
     def _joined(self, policy: AligningPolicy, data: TransferDataModule) -> dict[str, np.ndarray]:
         if self.score is None or self.pairs == 0:
@@ -67,18 +96,26 @@ class LatentPicture(Callback):
         return {domain: encode(policy, domain, seen).numpy() for domain, seen in (states or {}).items()}
 
 
-def latent_figure(latents: Mapping[str, np.ndarray], joined: Mapping[str, np.ndarray] | None = None) -> Figure:
+def latent_figure(
+    latents: Mapping[str, np.ndarray],
+    joined: Mapping[str, np.ndarray] | None = None,
+    kinds: Mapping[str, Sequence[str]] | None = None,
+) -> Figure:
     """Scatter plot of the t-SNE projection of latent states, one colour a domain.
 
     Args:
         latents: By domain, ``(N_d, Z)``.
         joined: Of two of these domains ``(P, Z)``: row i of both is joined by a line.
+        kinds: By domain, what kind of situation each state is of: a second plot of the same points has a colour for
+            each kind and a marker for each domain. Without any there is one plot.
     """
     pairs = dict(joined or {})
+    named = {domain: names for domain, names in (kinds or {}).items() if names}
     colours = {domain: COLOURS[i % len(COLOURS)] for i, domain in enumerate(latents)}
     flat = _flatten([*latents.values(), *pairs.values()])
-    figure = Figure(figsize=(6, 6.5), layout="constrained")
-    axes = figure.subplots()
+    plots = 2 if named else 1
+    figure = Figure(figsize=(6 * plots, 6.5), layout="constrained")
+    axes, *more = figure.subplots(1, plots, squeeze=False)[0]
     for (domain, colour), points in zip(colours.items(), flat, strict=False):
         axes.scatter(points[:, 0], points[:, 1], s=12, alpha=0.5, color=colour, label=domain, linewidths=0)
     ends = dict(zip(pairs, flat[len(latents) :], strict=True))
@@ -90,8 +127,22 @@ def latent_figure(latents: Mapping[str, np.ndarray], joined: Mapping[str, np.nda
         axes.scatter(points[:, 0], points[:, 1], s=26, color=colours[domain], edgecolors="black", zorder=4)
     axes.set(xticks=[], yticks=[])
     axes.set_title("latent states of the proxy tasks (t-SNE)", fontsize=12)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3, markerscale=2, frameon=False, fontsize=10)
+    axes.legend(**LEGEND)
+    for other in more:
+        _draw_kinds(other, dict(zip(latents, flat, strict=False)), named)
     return figure
+
+
+def _draw_kinds(axes: Axes, points: Mapping[str, np.ndarray], kinds: Mapping[str, Sequence[str]]) -> None:
+    """Points ``(N_d, 2)`` by domain, a colour for each kind and a marker for each domain."""
+    for i, kind in enumerate(sorted({name for names in kinds.values() for name in names})):
+        for marker, (domain, names) in zip(MARKERS, kinds.items(), strict=False):
+            chosen = points[domain][np.array(names) == kind]
+            label = f"{kind}, {domain}"
+            axes.scatter(*chosen.T, s=14, alpha=0.6, color=COLOURS[i % len(COLOURS)], marker=marker, label=label)
+    axes.set(xticks=[], yticks=[])
+    axes.set_title("the same by arrangement", fontsize=12)
+    axes.legend(**LEGEND)
 
 
 def _flatten(parts: list[np.ndarray]) -> list[np.ndarray]:

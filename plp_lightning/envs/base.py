@@ -81,6 +81,13 @@ class Simulator(ABC):
         """
         raise UserError(f"{type(self).__name__} knows no position that domains share; choose another --score")
 
+    def arrangement(self, task: str, seed: int) -> str | None:
+        """What an episode of ``task`` with ``seed`` holds in which place, in a word, for pictures.
+
+        None if all episodes of a task are arranged alike, but for continuous differences.
+        """
+        return None
+
     def floor_plan(self) -> FloorPlan | None:
         """Walls and goals, for pictures; None if this domain can't be drawn from above."""
         return None

@@ -169,9 +169,14 @@ def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray
 
 def sample_states(data: TransferDataModule, domain: str, count: int) -> Observation[Tensor]:
     """``count`` states of a domain's proxy trajectories (all, if there are fewer); the same at every call."""
+    return data.tables[domain].observation.take(torch.from_numpy(sample_rows(data, domain, count)))
+
+
+def sample_rows(data: TransferDataModule, domain: str, count: int) -> np.ndarray:
+    """Rows of :func:`sample_states` in the domain's table."""
     rows = np.sort(np.concatenate([data.rows(data.proxies, part)[domain] for part in data.parts]))
-    chosen = generator(SAMPLE, list(data.domains).index(domain)).permutation(rows)[:count]
-    return data.tables[domain].observation.take(torch.from_numpy(chosen))
+    chosen: np.ndarray = generator(SAMPLE, list(data.domains).index(domain)).permutation(rows)[:count]
+    return chosen
 
 
 def guided_states(

@@ -10,8 +10,10 @@ from lightning.pytorch import Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from matplotlib.collections import LineCollection, PathCollection
 
+from datamodules.hdf5 import TrajectoryFile
 from plp_lightning.callbacks import latent_picture
 from plp_lightning.callbacks.latent_picture import LatentPicture, latent_figure
+from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.evaluation.scores import AlignmentScore, ClosenessScore, encode
 from plp_lightning.phases import Alignment
 
@@ -94,7 +96,7 @@ def test_the_score_says_which_states_are_joined(
 ) -> None:
     drawn: list[dict[str, np.ndarray]] = []
     monkeypatch.setattr(latent_picture, "publish", lambda *words: None)
-    monkeypatch.setattr(latent_picture, "latent_figure", lambda latents, joined: drawn.append(joined))
+    monkeypatch.setattr(latent_picture, "latent_figure", lambda latents, joined, kinds: drawn.append(joined))
     simulators = {name: domain.simulator for name, domain in tiny.domains().items()}
     data = tiny.data_module(trajectory_file, batch_size=1024)
     phase = Alignment(tiny.policy(data), [])
@@ -104,3 +106,42 @@ def test_the_score_says_which_states_are_joined(
     assert {domain: len(found) for domain, found in joined.items()} == ({"flat": 4, "tall": 4} if expected else {})
     for domain, states in (ClosenessScore(30).correspondences(data, simulators, 4) if expected else {}).items():
         np.testing.assert_array_equal(joined[domain], encode(phase.policy, domain, states).numpy())
+
+
+def test_kinds_have_colours_in_a_second_plot_of_the_same_points() -> None:
+    rng = np.random.default_rng(0)
+    latents = {"flat": rng.normal(size=(12, 4)), "tall": rng.normal(5, 1, (9, 4))}
+    kinds = {"flat": ["red first", "blue first"] * 6, "tall": ["red first"] * 9}
+    first, second = latent_figure(latents, None, kinds).axes
+    flat, tall = (np.asarray(points.get_offsets()) for points in first.collections)
+    found = {
+        points.get_label(): np.asarray(points.get_offsets())
+        for points in second.collections
+        if points.get_offsets().size
+    }
+    assert set(found) == {"red first, flat", "blue first, flat", "red first, tall"}
+    np.testing.assert_array_equal(found["red first, flat"], flat[::2])
+    np.testing.assert_array_equal(found["blue first, flat"], flat[1::2])
+    np.testing.assert_array_equal(found["red first, tall"], tall)
+
+
+def test_arrangements_are_those_of_the_episodes_that_states_belong_to(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Arranged(LinearPoint):
+        def arrangement(self, task: str, seed: int) -> str:
+            return f"{task} {seed}"
+
+    drawn: list[dict[str, list[str]]] = []
+    monkeypatch.setattr(latent_picture, "publish", lambda *words: None)
+    monkeypatch.setattr(latent_picture, "latent_figure", lambda latents, joined, kinds: drawn.append(kinds))
+    data = tiny.data_module(trajectory_file, batch_size=1024)
+    picture = LatentPicture(10, simulators={"flat": Arranged(1), "tall": LinearPoint(2)})
+    make_trainer(picture, epochs=1).fit(Alignment(tiny.policy(data), []), datamodule=data)
+    (kinds,) = drawn
+    assert kinds["tall"] == []
+    with TrajectoryFile.open(trajectory_file) as file:
+        episodes = file.episodes("flat")
+    known = {f"{task} {seed}" for task, seed in zip(episodes.task, episodes.seed, strict=True) if task in tiny.PROXIES}
+    assert len(kinds["flat"]) == 10
+    assert set(kinds["flat"]) <= known

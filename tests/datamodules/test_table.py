@@ -36,7 +36,8 @@ def test_trajectories_are_found_by_task() -> None:
 
 def test_tensors_share_the_memory_of_the_arrays() -> None:
     state, image = np.zeros((4, 3), dtype=np.float32), torch.zeros(4, 2, 2, 3, dtype=torch.uint8)
-    table = build_table(SPEC, state, image, np.zeros((4, 2), np.float32), np.array([0, 4]), np.array([0]))
+    arrays = np.zeros((4, 2), np.float32), np.array([0, 4]), np.array([0]), np.array([7])
+    table = build_table(SPEC, state, image, *arrays)
     state[1, 2], image[3, 0, 0, 0] = 8, 9
     taken = table.take(torch.tensor([1, 3])).observation
     assert taken.image is not None
@@ -54,3 +55,7 @@ def test_course_tells_what_follows_and_how_far_a_step_is() -> None:
     assert course.following.state[:, 0].tolist() == [7, 3, 1, 4, 2, 7, 6]
     assert course.last.tolist() == [False, True, False, True, False, True, False]
     torch.testing.assert_close(course.progress, torch.tensor([1 / 2, 1, 0, 1, 1 / 3, 1, 0]))
+
+
+def test_each_row_knows_its_trajectory() -> None:
+    assert TABLE.episode_of(np.arange(6)).tolist() == [0, 0, 1, 2, 2, 2]

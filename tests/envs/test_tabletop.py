@@ -151,6 +151,17 @@ def test_all_orders_of_the_balls_come_up_and_hands_fill_their_room() -> None:
 
 
 @drawn
+@drawn
+def test_arrangement_names_the_balls_from_one_side_to_the_other() -> None:
+    reach, seeds = Reach("front_left"), list(range(8))
+    for task in reach.tasks:
+        reach.reset([task] * len(seeds), seeds)
+        side = reach.aims(np.arange(len(seeds)))[:, 0]
+        place = [reach.arrangement("red", seed).split().index(task) for seed in seeds]
+        np.testing.assert_allclose(side, np.array([-0.15, 0.0, 0.15])[place])
+    assert Window("rear").arrangement("open", 3) is None
+
+
 def test_windows_stand_in_their_areas() -> None:
     simulator, count = window(), 12
     tasks = [task for task in simulator.tasks for _ in range(count)]

@@ -182,6 +182,11 @@ class Reach(Tabletop):
         """The colours."""
         return ("red", "green", "blue")
 
+    def arrangement(self, task: str, seed: int) -> str:
+        """The balls in the order of their places, ``red green blue`` for instance; the task does not matter."""
+        _, order = _draw_reach(self._stream(seed))
+        return " ".join(self.tasks[ball] for ball in np.argsort(order))
+
     def aims(self, episodes: np.ndarray) -> np.ndarray:
         """Where the ball to be touched is, ``(n, 3)``, m."""
         aims: np.ndarray = self._balls[episodes, self._goal[episodes]]
@@ -194,7 +199,8 @@ class Reach(Tabletop):
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
         from plp_lightning.envs.tabletop.physics import Layout
 
-        return Layout(stream.uniform(*REACH_HAND), SLOTS[stream.permutation(len(SLOTS))], PUCK)
+        hand, order = _draw_reach(stream)
+        return Layout(hand, SLOTS[order], PUCK)
 
     def _scene(self) -> TabletopModel:
         from plp_lightning.envs.tabletop.model import reach_model
@@ -254,3 +260,8 @@ class Window(Tabletop):
     def _solved(self, rows: np.ndarray) -> np.ndarray:
         solved: np.ndarray = np.abs(self.aims(rows)[:, 0] - self._end[rows]) <= RADIUS
         return solved
+
+
+def _draw_reach(stream: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Where the hand begins, and the place of each ball."""
+    return stream.uniform(*REACH_HAND), stream.permutation(len(SLOTS))
