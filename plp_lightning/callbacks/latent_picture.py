@@ -139,7 +139,9 @@ def _draw_kinds(axes: Axes, points: Mapping[str, np.ndarray], kinds: Mapping[str
         for marker, (domain, names) in zip(MARKERS, kinds.items(), strict=False):
             chosen = points[domain][np.array(names) == kind]
             label = f"{kind}, {domain}"
-            axes.scatter(*chosen.T, s=14, alpha=0.6, color=COLOURS[i % len(COLOURS)], marker=marker, label=label)
+            axes.scatter(
+                chosen[:, 0], chosen[:, 1], s=14, alpha=0.6, color=COLOURS[i % len(COLOURS)], marker=marker, label=label
+            )
     axes.set(xticks=[], yticks=[])
     axes.set_title("the same by arrangement", fontsize=12)
     axes.legend(**LEGEND)

@@ -151,7 +151,6 @@ def test_all_orders_of_the_balls_come_up_and_hands_fill_their_room() -> None:
 
 
 @drawn
-@drawn
 def test_arrangement_names_the_balls_from_one_side_to_the_other() -> None:
     reach, seeds = Reach("front_left"), list(range(8))
     for task in reach.tasks:
@@ -162,6 +161,7 @@ def test_arrangement_names_the_balls_from_one_side_to_the_other() -> None:
     assert Window("rear").arrangement("open", 3) is None
 
 
+@drawn
 def test_windows_stand_in_their_areas() -> None:
     simulator, count = window(), 12
     tasks = [task for task in simulator.tasks for _ in range(count)]
