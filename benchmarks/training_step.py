@@ -1,7 +1,8 @@
 """What `plp fit` costs on top of a plain PyTorch loop over the same steps, and where a step's time goes.
 
 Both run in this process on the same synthetic tables, in turns; figures are CPU seconds of one thread, so a
-busy machine changes them little. Run: python benchmarks/training_step.py [--batch_size 512] [--steps 300]
+busy machine changes them little. Defaults are the sizes of R2R-Lift; those of P2A-medium: --batch_size 256 --pairs 64
+--length 200. Run: python benchmarks/training_step.py [--batch_size 512] [--steps 300]
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ from plp_lightning.policy import PortablePolicy
 TASKS = [f"task_{i}" for i in range(17)]
 
 
-def make_data(folder: Path, batch_size: int, steps: int, pairs: int) -> TransferDataModule:
-    """Random trajectories in R2R's sizes, enough for ``steps`` steps in an epoch."""
+def make_data(folder: Path, batch_size: int, steps: int, pairs: int, length: int) -> TransferDataModule:
+    """Random trajectories with states of R2R's sizes, enough for ``steps`` steps in an epoch."""
     rng = np.random.default_rng(0)
     specs = [DomainSpec(n, (ObservationKey("state", (size,)),), 4, 20.0) for n, size in (("a", 32), ("b", 37))]
-    per_task = max(2, -(-steps * batch_size // 2 // 40 // 16))
+    per_task = max(2, -(-steps * batch_size // 2 // length // 16))
     trajectories = [
         Trajectory(
             spec.name,
             task,
-            Observation(rng.normal(size=(40, spec.state_size)).astype(np.float32)),
-            rng.uniform(-1, 1, (40, 4)).astype(np.float32),
+            Observation(rng.normal(size=(length, spec.state_size)).astype(np.float32)),
+            rng.uniform(-1, 1, (length, 4)).astype(np.float32),
             seed=i,
             success=True,
         )
@@ -136,11 +137,12 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--pairs", type=int, default=32)
+    parser.add_argument("--length", type=int, default=40, help="steps of a trajectory")
     options = parser.parse_args()
     torch.set_num_threads(1)
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     with TemporaryDirectory() as folder:
-        data = make_data(Path(folder), options.batch_size, options.steps, options.pairs)
+        data = make_data(Path(folder), options.batch_size, options.steps, options.pairs, options.length)
         rows = []
         for _ in range(options.turns):
             plain = plain_loop(data, options.steps)
