@@ -55,12 +55,13 @@ def parse(arguments: Sequence[str]) -> Experiment:
         ConfigError: If anything in them is wrong; one line that names it.
     """
     allow_imports([*ALLOWED_IMPORTS, *option_values(arguments, "allow_imports")])
-    parser = build_parser(phase_names(arguments))
+    phases = phase_names(arguments)
+    parser = build_parser(phases)
     try:
         config = parser.parse_args(list(arguments), defaults=True)
     except argparse.ArgumentError as error:
         raise ConfigError(explain(str(error), parser)) from None
-    return build(parser, config)
+    return build(parser, config, phases)
 
 
 def build_parser(phases: Sequence[str]) -> ArgumentParser:
@@ -100,15 +101,14 @@ def allow_imports(packages: Sequence[str]) -> None:
 
 
 def phase_names(arguments: Sequence[str]) -> list[str]:
-    """Phases that the given files and flags name; the last ``phases`` wins, as in any override."""
-    names: list[str] = []
-    for path in [str(BASE), *option_values(arguments, "config")]:
-        names = _read_yaml(Path(path)).get("phases", names)
-    for value in option_values(arguments, "phases"):
-        names = _read_list(value)
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise ConfigError(f"phases is {names!r}; expected a list of names, such as [alignment, adaptation]")
-    return names
+    """Phases that the given files and flags name; a method that leaves one out still reads pages that set it up."""
+    files = [_read_yaml(Path(path)) for path in [str(BASE), *option_values(arguments, "config")]]
+    lists = [content["phases"] for content in files if "phases" in content]
+    lists += [_read_list(value) for value in option_values(arguments, "phases")]
+    for names in lists:
+        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+            raise ConfigError(f"phases is {names!r}; expected a list of names, such as [alignment, adaptation]")
+    return list(dict.fromkeys(name for names in lists for name in names))
 
 
 def option_values(arguments: Sequence[str], name: str) -> list[str]:
@@ -117,9 +117,17 @@ def option_values(arguments: Sequence[str], name: str) -> list[str]:
     return [value for a in joined if a.startswith(f"--{name}=") and (value := a.split("=", 1)[1])]
 
 
-def build(parser: ArgumentParser, config: Namespace) -> Experiment:
-    """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet."""
+def build(parser: ArgumentParser, config: Namespace, phases: Sequence[str]) -> Experiment:
+    """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet.
+
+    Args:
+        parser: Who parsed it.
+        config: The configuration.
+        phases: Phases that are keys of it; those that the method leaves out are dropped.
+    """
     config.experiment = config.experiment or _experiment_name(config)
+    for name in {*phases} - {*config.phases}:
+        del config[name]
     check_numbers(dict(config.items()), config.phases)
     text = parser.dump(config.clone(), skip_unset=False)
     made = parser.instantiate(config)
