@@ -63,6 +63,10 @@ class Simulator(ABC):
         """Tasks that make up ``target``: itself, or for instance one goal from each start zone."""
         return (target,)
 
+    def target_of(self, task: str) -> str:
+        """The target that ``task`` is part of, as :meth:`target_tasks` takes it."""
+        return task
+
     @abstractmethod
     def proxies(self, target: str) -> tuple[str, ...]:
         """Tasks that may align the domains when ``target`` is to be transferred (none of its own)."""

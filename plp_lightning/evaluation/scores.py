@@ -163,8 +163,8 @@ class PairAccuracy(AlignmentScore):
 
 
 def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray:
-    """How ``other`` shows what ``maze`` shows as ``state (N, 4)``: its transformation is its own inverse."""
-    return other.states_in_maze(maze.states_in_maze(state))
+    """How ``other`` shows what ``maze`` shows as ``state (N, 4)``."""
+    return other.states_of_domain(maze.states_in_maze(state))
 
 
 def sample_states(data: TransferDataModule, domain: str, count: int) -> Observation[Tensor]:

@@ -92,4 +92,4 @@ class WaypointExpert(Expert):
         states = self._maze.states_in_maze(observation.state)
         aims = self._maze.frame.centres(self._guide.aims(observation.state, episodes))
         forces = self._gain * (aims - states[:, :2]) - self._damping * states[:, 2:]
-        return self._maze.actions_in_maze(np.clip(forces, -1, 1)).astype(np.float32)
+        return self._maze.actions_of_domain(np.clip(forces, -1, 1)).astype(np.float32)

@@ -93,8 +93,8 @@ def demonstration(way: Segment, task: str, maze: PointMaze, domain: str) -> Traj
 
     A walk that was never reset has no seeds; the number of the first step stands in for one.
     """
-    state = maze.states_in_maze(way.states)
-    actions = maze.actions_in_maze(np.clip(way.actions, -1, 1))
+    state = maze.states_of_domain(way.states)
+    actions = maze.actions_of_domain(np.clip(way.actions, -1, 1))
     return Trajectory(domain, task, Observation(state), actions, way.row, success=True)
 
 

@@ -74,6 +74,11 @@ class Maze(Simulator):
         """Tasks of a target: of a goal ``goal_<row>_<column>`` one for each start zone that has another cell."""
         return self.layout.target_tasks(target)
 
+    def target_of(self, task: str) -> str:
+        """The goal that a shortest-path task ends at, ``goal_<row>_<column>``; a detour is a target of its own."""
+        found = self.layout.task(task)
+        return task if found.avoid else "goal_{}_{}".format(*found.goal)
+
     def proxies(self, target: str) -> tuple[str, ...]:
         """All shortest-path tasks that end at another goal than ``target``, a goal or a task."""
         return self.layout.proxies(target)
@@ -113,11 +118,19 @@ class Maze(Simulator):
         return Step(self._observe(states), valid & self._succeeded(episodes), ~valid)
 
     def states_in_maze(self, states: np.ndarray) -> np.ndarray:
-        """Observed states ``(n, O)`` as the physics has them, before this domain's transformation."""
+        """States ``(n, O)`` that this domain shows, as the physics has them."""
+        return states
+
+    def states_of_domain(self, states: np.ndarray) -> np.ndarray:
+        """States ``(n, O)`` of the physics as this domain shows them; inverse of :meth:`states_in_maze`."""
         return states
 
     def actions_in_maze(self, actions: np.ndarray) -> np.ndarray:
-        """This domain's actions ``(n, A)`` as the physics takes them; its own inverse."""
+        """Actions ``(n, A)`` of this domain as the physics takes them."""
+        return actions
+
+    def actions_of_domain(self, actions: np.ndarray) -> np.ndarray:
+        """Actions ``(n, A)`` of the physics as this domain takes them; inverse of :meth:`actions_in_maze`."""
         return actions
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
@@ -173,7 +186,7 @@ class Maze(Simulator):
     def _observe(self, states: np.ndarray) -> Observation[np.ndarray]:
         assert self._physics is not None
         observed = np.concatenate([states[:, self._physics.qpos], states[:, self._physics.qvel]], axis=1)
-        return Observation(self.states_in_maze(observed).astype(np.float32))
+        return Observation(self.states_of_domain(observed).astype(np.float32))
 
     def _positions(self, episodes: np.ndarray) -> np.ndarray:
         assert self._physics is not None

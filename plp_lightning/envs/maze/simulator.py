@@ -7,10 +7,16 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from datamodules.errors import ConfigError
 from datamodules.types import ObservationKey
 from plp_lightning.envs.maze.base import FrameName, LayoutName, Maze
 from plp_lightning.envs.maze.layout import Frame
 from plp_lightning.envs.maze.walker_model import Box, walker_mjcf, wall_geoms
+
+FLIP = np.diag([1.0, -1.0])
+"""(x, y) → (x, -y), as a matrix that rows are multiplied with."""
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+"""(x, y) → (-y, x), likewise."""
 
 
 class PointMaze(Maze):
@@ -20,10 +26,17 @@ class PointMaze(Maze):
     The paper's source domain of P2P is ``swap_axes=True, negate_actions=True``: it sees (y, x, vy, vx) and its
     actions have the opposite sign, but their axes are not swapped.
 
+    Further agents look at the same maze through a frame of their own, in which they are also moved: with F, Q and
+    the swap S as matrices and l the length of a metre, p S F Q l is what is seen of a position or velocity p (a
+    row), and ± u F Q the action for a force u. All maps send the box of actions to itself, and exactly.
+
     Args:
         layout: Which maze.
-        swap_axes: Show y before x.
+        swap_axes: Show y before x (S).
         negate_actions: Turn the sign of all actions.
+        mirror: Turn the sign of y (F).
+        quarter_turns: Turns of the frame by 90° each, x towards y (Q).
+        metre: What is shown for a metre, and for a metre per second (l); forces stay shares of the motor's largest.
         frame: See :class:`Maze`.
         radius: Distance from the goal that counts as success, in cells of 1 m.
         jitter: Largest offset of a start from its cell's centre along each axis, in cells.
@@ -40,6 +53,9 @@ class PointMaze(Maze):
         layout: LayoutName,
         swap_axes: bool = False,
         negate_actions: bool = False,
+        mirror: bool = False,
+        quarter_turns: int = 0,
+        metre: float = 1.0,
         frame: FrameName = "d4rl",
         radius: float = 0.5,
         jitter: float = 0.25,
@@ -47,17 +63,30 @@ class PointMaze(Maze):
         threads: int = 0,
     ) -> None:
         super().__init__(layout, frame, radius, jitter, horizon, threads)
-        self._order = [1, 0, 3, 2] if swap_axes else [0, 1, 2, 3]
-        self._sign = -1 if negate_actions else 1
+        if not 0 < metre < np.inf:
+            raise ConfigError(f"metre is {metre}; expected a length above 0; set what one metre is shown as")
+        turned = (FLIP if mirror else np.eye(2)) @ np.linalg.matrix_power(TURN, quarter_turns % 4)
+        self._seen, self._metre = (np.eye(2)[::-1] if swap_axes else np.eye(2)) @ turned, metre
+        self._moved = -turned if negate_actions else turned
         self._description += f", swap_axes {swap_axes}, negate_actions {negate_actions}"
+        if mirror or quarter_turns or metre != 1:  # what files of plain agents say stays the same
+            self._description += f", mirror {mirror}, quarter_turns {quarter_turns}, metre {metre}"
 
     def states_in_maze(self, states: np.ndarray) -> np.ndarray:
         """See :meth:`Maze.states_in_maze`."""
-        return states[:, self._order]
+        return _planar(states, self._seen.T) / states.dtype.type(self._metre)
+
+    def states_of_domain(self, states: np.ndarray) -> np.ndarray:
+        """See :meth:`Maze.states_of_domain`."""
+        return _planar(states, self._seen) * states.dtype.type(self._metre)
 
     def actions_in_maze(self, actions: np.ndarray) -> np.ndarray:
         """See :meth:`Maze.actions_in_maze`."""
-        return self._sign * actions
+        return _planar(actions, self._moved.T)
+
+    def actions_of_domain(self, actions: np.ndarray) -> np.ndarray:
+        """See :meth:`Maze.actions_of_domain`."""
+        return _planar(actions, self._moved)
 
     _body = "point"
     _action_size = 2
@@ -171,3 +200,9 @@ class WalkerMaze(Maze):
 
     def _mjcf(self, walls: Sequence[Box]) -> str:
         return walker_mjcf(self.legs, walls)
+
+
+def _planar(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Every two columns of ``vectors (n, 2 m)`` times a matrix, in the precision that they came in."""
+    turned: np.ndarray = vectors.reshape(-1, 2) @ matrix.astype(vectors.dtype)
+    return turned.reshape(vectors.shape)
