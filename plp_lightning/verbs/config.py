@@ -17,6 +17,7 @@ from datamodules.transfer import TransferDataModule
 from plp_lightning import baselines, callbacks, envs, experts  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.collect import ExpertCollector, Recipe
 from plp_lightning.envs.base import Domain
+from plp_lightning.envs.proxies import some_proxies
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.experiment import (
     EvaluationPlan,
@@ -80,6 +81,7 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
         "--data.root", type=str | None, help="folder of trajectory files; PLP_DATA or data if not given"
     )
     parser.add_argument("--data.file", type=str | None, help="trajectory file; <root>/<experiment>.hdf5 if not given")
+    parser.add_argument("--data.proxy_goals", type=int | None, help="goals that proxy tasks end at; all if not given")
     parser.add_class_arguments(Recipe, "collection")
     parser.add_argument("--policy", type=PolicyFactory, help="the policy's class and sizes")
     parser.add_argument("--phases", type=list[str], help="phases of the method, in order; each is a key of its own")
@@ -162,7 +164,7 @@ def _data(made: Namespace) -> TransferDataModule:
     return TransferDataModule(
         path=Path(file) if file else folder / f"{made.experiment}.hdf5",
         tasks=simulator.tasks,
-        proxies=simulator.proxies(settings["target"]),
+        proxies=some_proxies(simulator, settings["target"], settings.pop("proxy_goals")),
         target_tasks=simulator.target_tasks(settings["target"]),
         domains=list(made.domains),
         seed=made.seed,
