@@ -1,0 +1,137 @@
+"""GAMA: the target domain is translated into the source domain, whose policy acts there, and its actions back.
+
+See "Domain Adaptive Imitation Learning" (https://arxiv.org/abs/1910.00105). With the source domain x and the target
+domain y, the target's policy is ``g(π_x(f(s_y), k))``: f maps states y → x, g maps actions x → y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.errors import ConfigError
+from datamodules.normalization import Scaling
+from datamodules.problem import TransferProblem
+from datamodules.types import DomainSpec, Observation
+from plp_lightning.base_policy import AligningPolicy, Observations, Parts
+from plp_lightning.baselines.gama_networks import SpatialEncoder, TargetDynamics
+from plp_lightning.networks import ActionDecoder, StateEncoder
+from plp_lightning.scaling import InputScaler
+
+
+class GamaPolicy(AligningPolicy):
+    """Source policy π_x(s_x, k), state map f, action map g and target dynamics P, all on scaled states.
+
+    Where a domain has a camera, its images become feature points (see :class:`SpatialEncoder`) and these are part of
+    the state. Alignment is scored in the source domain's states, as in the paper.
+
+    Args:
+        problem: Domains and tasks; exactly two domains.
+        hidden: Units in every hidden layer.
+        policy_layers: Hidden layers of the source policy.
+        map_layers: Hidden layers of the state map and of the action map.
+        dynamics_layers: Hidden layers of the target dynamics.
+        action_map_state: Whether the action map sees the target's state beside the source's action ("GAMA + State").
+        gradient_floor: Least slope of the tanh of source policy and action map in the backward pass; with the plain
+            tanh of 0, no gradient reaches the state map where the frozen source policy's actions are saturated.
+        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        clip: Bound of z-scored inputs, in deviations.
+        image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
+            the policy is blind: it leaves images aside.
+
+    Raises:
+        ConfigError: If there are not two domains, or a size is wrong.
+    """
+
+    def __init__(
+        self,
+        problem: TransferProblem,
+        hidden: int = 192,
+        policy_layers: int = 3,
+        map_layers: int = 3,
+        dynamics_layers: int = 3,
+        action_map_state: bool = False,
+        gradient_floor: float = 0.1,
+        scaling: dict[str, Scaling] | None = None,
+        clip: float = 5.0,
+        image_channels: Sequence[int] = (32, 32, 16),
+    ) -> None:
+        architecture = {
+            "hidden": hidden,
+            "policy_layers": policy_layers,
+            "map_layers": map_layers,
+            "dynamics_layers": dynamics_layers,
+            "action_map_state": action_map_state,
+            "gradient_floor": gradient_floor,
+            "scaling": scaling,
+            "clip": clip,
+            "image_channels": list(image_channels),
+        }
+        super().__init__(problem, architecture)
+        if len(problem.domains) != 2:
+            raise ConfigError(
+                f"GamaPolicy translates between two domains, found {', '.join(self.domains)}; "
+                "leave all but source and target domain away"
+            )
+        self.source, self.target = problem.source_domain, problem.target_domain
+        self.scaler = InputScaler(problem.domains, problem.statistics, scaling or {}, clip)
+        self.eyes = nn.ModuleDict(
+            {
+                name: SpatialEncoder(spec.image_key.shape, image_channels)
+                for name, spec in self.domains.items()
+                if spec.image_key is not None and image_channels
+            }
+        )
+        self.sizes = {name: self._state_size(spec) for name, spec in self.domains.items()}
+        here, there = self.sizes[self.source], self.sizes[self.target]
+        acts, moves = self.domains[self.source].action_size, self.domains[self.target].action_size
+        self.task_count, self.action_map_state = len(problem.tasks), action_map_state
+        self.source_policy = ActionDecoder(here, self.task_count, acts, hidden, policy_layers, gradient_floor)
+        self.state_map = StateEncoder(there, here, hidden, map_layers)
+        context = there if action_map_state else 0
+        self.action_map = ActionDecoder(acts, context, moves, hidden, map_layers, gradient_floor)
+        self.dynamics = TargetDynamics(there, moves, hidden, dynamics_layers)
+
+    def perceive(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        """Scaled state and feature points ``(B, S_d)`` of a domain: what everything else is a function of."""
+        state: Tensor = self.scaler(observation.state, domain)
+        if domain not in self.eyes:
+            return state
+        assert observation.image is not None, f"no image, but domain {domain!r} has a camera"
+        return torch.cat([state, self.eyes[domain](observation.image)], dim=1)
+
+    def imitate(self, state: Tensor, task: Tensor) -> Tensor:
+        """π_x: source states ``(B, S_x)`` and tasks ``(B,)`` → source actions ``(B, A_x)``."""
+        one_hot = nn.functional.one_hot(task, self.task_count).to(state.dtype)
+        action: Tensor = self.source_policy(state, one_hot)
+        return action
+
+    def translate(self, action: Tensor, state: Tensor) -> Tensor:
+        """g: source actions ``(B, A_x)``, and target states ``(B, S_y)`` if it sees them → target actions."""
+        translated: Tensor = self.action_map(action, state if self.action_map_state else state[:, :0])
+        return translated
+
+    def move(self, state: Parts) -> dict[str, Tensor]:
+        """States ``(B_d, S_x)`` in the source domain, by domain they were seen in: themselves there, f elsewhere."""
+        return {domain: seen if domain == self.source else self.state_map(seen) for domain, seen in state.items()}
+
+    def control(self, state: Parts, task: Parts) -> dict[str, Tensor]:
+        """Actions ``(B_d, A_d)`` by domain, from what :meth:`perceive` gives."""
+        actions = {domain: self.imitate(moved, task[domain]) for domain, moved in self.move(state).items()}
+        if self.target in actions:
+            actions[self.target] = self.translate(actions[self.target], state[self.target])
+        return actions
+
+    def encode(self, observation: Observations) -> dict[str, Tensor]:
+        """States ``(B_d, S_x)`` of the source domain."""
+        return self.move({domain: self.perceive(domain, seen) for domain, seen in observation.items()})
+
+    def decide(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
+        """π_x in the source domain, g ∘ π_x ∘ f in the target domain."""
+        return self.control({domain: self.perceive(domain, seen) for domain, seen in observation.items()}, task)
+
+    def _state_size(self, spec: DomainSpec) -> int:
+        eyes = [eye.size for name, eye in self.eyes.items() if name == spec.name and isinstance(eye, SpatialEncoder)]
+        return spec.state_size + sum(eyes)

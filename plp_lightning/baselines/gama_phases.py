@@ -1,0 +1,278 @@
+"""GAMA's phases: what can be learnt without the other domain, then the maps between them, then the new task."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.types import Batch, Course, Demand, Transitions
+from plp_lightning.baselines.gama import GamaPolicy
+from plp_lightning.baselines.gama_networks import PointDecoder, TransitionDiscriminator
+from plp_lightning.losses import behavioural_cloning, reconstruction
+from plp_lightning.losses.gama import passing, telling_apart, unexplained_change
+from plp_lightning.phases.base import Phase, Schedule
+
+
+class GamaPretraining(Phase[GamaPolicy]):
+    """Source policy by behavioural cloning, target dynamics, and feature points of images by reconstruction.
+
+    None of the three sends a gradient into another: feature points are learnt as if alone, by a spatial autoencoder
+    for each domain with a camera, whose decoder is of no use afterwards.
+
+    Args:
+        policy: The policy to train.
+        reconstruction_hidden: Units of the image decoder's hidden layer.
+        epochs: Passes over the proxy data, counted in samples of both domains together.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate.
+    """
+
+    trains = GamaPolicy
+    demand = Demand(course=True)
+
+    def __init__(
+        self,
+        policy: GamaPolicy,
+        reconstruction_hidden: int = 256,
+        epochs: int = 20,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.decoders = nn.ModuleDict(
+            {name: _decoder(policy, name, reconstruction_hidden) for name in policy.eyes.keys()}  # noqa: SIM118
+        )
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """Both maps, which need the other domain."""
+        policy = self.policy
+        return {"scaler": policy.scaler, "state_map": policy.state_map, "action_map": policy.action_map}
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Sum of losses that share no parameter."""
+        policy, steps = self.policy, batch.transitions
+        state = {domain: policy.perceive(domain, s.observation) for domain, s in steps.items()}
+        parts = self._losses({domain: seen.detach() for domain, seen in state.items()}, steps)
+        images = {d: s.observation.image for d, s in steps.items() if d in policy.eyes}
+        if images:
+            points = {d: state[d][:, policy.domains[d].state_size :] for d in images}
+            drawn = {domain: self.decoders[domain](found) for domain, found in points.items()}
+            parts["reconstruction"] = reconstruction(drawn, {d: i for d, i in images.items() if i is not None})
+        if self.logs_now:
+            self.log_parts(parts, sum(len(s.action) for s in steps.values()))
+        return torch.stack([*parts.values()]).sum()
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Held-out loss of the source policy as ``val/bc``, of the dynamics as ``val/dynamics``."""
+        state = {domain: self.policy.perceive(domain, s.observation) for domain, s in batch.transitions.items()}
+        for name, loss in self._losses(state, batch.transitions).items():
+            self.log(f"val/{name}", loss, batch_size=sum(len(seen) for seen in state.values()), on_epoch=True)
+
+    def _losses(self, state: Mapping[str, Tensor], steps: Mapping[str, Transitions]) -> dict[str, Tensor]:
+        """Of the source policy and of the dynamics, as far as there are steps of their domains."""
+        policy, parts = self.policy, {}
+        if policy.source in steps:
+            taken = steps[policy.source]
+            action = policy.imitate(state[policy.source], taken.task)
+            parts["bc"] = behavioural_cloning({policy.source: action}, {policy.source: taken.action})
+        if policy.target in steps:
+            taken, seen = steps[policy.target], state[policy.target]
+            course = _course(taken)
+            with torch.no_grad():
+                following = policy.perceive(policy.target, course.following)
+            foreseen = policy.dynamics(seen, taken.action)
+            parts["dynamics"] = unexplained_change(foreseen, seen, following, course.last)
+        return parts
+
+
+class KnownStates(Phase[GamaPolicy]):
+    """A phase in which nothing changes how states are perceived: each is computed once and looked up by row."""
+
+    trains = GamaPolicy
+
+    def __init__(self, policy: GamaPolicy, epochs: int, lr: float, weight_decay: float, lr_schedule: Schedule) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.states: dict[str, Tensor] = {}
+
+    def on_fit_start(self) -> None:
+        """Perceive every step of both domains."""
+        self._perceive_all()
+
+    def on_validation_start(self) -> None:
+        """The same, if there was no training before."""
+        if not self.states:
+            self._perceive_all()
+
+    def predict(self, transitions: Mapping[str, Transitions]) -> dict[str, Tensor]:
+        """The policy's actions, from the states that are known already."""
+        state = {domain: self.states[domain][steps.row] for domain, steps in transitions.items()}
+        return self.policy.control(state, {domain: steps.task for domain, steps in transitions.items()})
+
+    @torch.no_grad()
+    def _perceive_all(self) -> None:
+        for domain, table in self.trainer.datamodule.tables.items():  # type: ignore[attr-defined]
+            chunks = torch.arange(len(table)).split(table.rows_at_a_time(8192))
+            seen = (table.take(rows).observation.map(lambda x: x.to(self.device)) for rows in chunks)
+            self.states[domain] = torch.cat([self.policy.perceive(domain, observation) for observation in seen])
+
+
+class GamaAlignment(KnownStates):
+    """State map and action map, by imitation in the target domain and by transitions that pass for the source's.
+
+    ``E ‖g(π_x(f(s_y), k)) - a_y‖² + λ E[-log D(ŝ, â, ŝ', k)]`` with ŝ = f(s_y), â = π_x(ŝ, k) and
+    ŝ' = f(P(s_y, g(â))). The source policy is frozen, the dynamics go on learning from demonstrations alone. The
+    discriminator D learns along; each loss reaches its own player only, so one optimiser step serves all.
+
+    Args:
+        policy: The policy to train, its source policy and dynamics trained before.
+        adversarial_weight: λ.
+        discriminator_layers: Hidden layers of the discriminator.
+        discriminator_hidden: Units in its hidden layers.
+        discriminator_lr: Learning rate of the discriminator.
+        dynamics_lr: Learning rate of the dynamics.
+        epochs: Passes over the proxy data, counted in samples of both domains together.
+        lr: Learning rate of both maps.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of all learning rates.
+    """
+
+    demand = Demand(images=False, course=True)
+
+    def __init__(
+        self,
+        policy: GamaPolicy,
+        adversarial_weight: float = 0.5,
+        discriminator_layers: int = 2,
+        discriminator_hidden: int = 192,
+        discriminator_lr: float = 1e-4,
+        dynamics_lr: float = 1e-4,
+        epochs: int = 20,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.adversarial_weight = adversarial_weight
+        self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
+        states, actions = policy.sizes[policy.source], policy.domains[policy.source].action_size
+        self.discriminator = TransitionDiscriminator(
+            states, actions, policy.task_count, discriminator_hidden, discriminator_layers
+        )
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """How states are perceived, and the source policy."""
+        policy = self.policy
+        return {"scaler": policy.scaler, "eyes": policy.eyes, "source_policy": policy.source_policy}
+
+    def optimizer(self) -> torch.optim.Optimizer:
+        """AdamW with a learning rate for each player."""
+        policy = self.policy
+        groups = [
+            {"params": [*policy.state_map.parameters(), *policy.action_map.parameters()]},
+            {"params": [*self.discriminator.parameters()], "lr": self.discriminator_lr},
+            {"params": [*policy.dynamics.parameters()], "lr": self.dynamics_lr},
+        ]
+        return torch.optim.AdamW(groups, lr=self.lr, weight_decay=self.weight_decay, fused=True)
+
+    def on_fit_start(self) -> None:
+        """Perceive every step, and find out how much a step of the source domain changes."""
+        super().on_fit_start()
+        data, source = self.trainer.datamodule, self.policy.source  # type: ignore[attr-defined]
+        rows = torch.from_numpy(data.rows(data.proxies, "train")[source])
+        steps = data.tables[source].take(rows, course=True)
+        state, following = self._before_and_after(source, steps)
+        self.discriminator.unit.copy_((following - state).square().mean(dim=0).sqrt().clamp(min=1e-6))
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Losses of all players, from shared forward passes."""
+        policy, judge = self.policy, self.discriminator
+        here, there = batch.transitions[policy.source], batch.transitions[policy.target]
+        (real_state, real_next), (state, following) = (
+            self._before_and_after(policy.source, here),
+            self._before_and_after(policy.target, there),
+        )
+        moved = policy.state_map(state)
+        planned = policy.imitate(moved, there.task)
+        action = policy.translate(planned, state)
+        arrived = policy.state_map(policy.dynamics.foresee(state, action))
+        real = judge.describe(real_state, here.action, real_next, here.task)
+        fake = judge.describe(moved, planned, arrived, there.task)
+        last, real_last = _course(there).last, _course(here).last
+        parts = {
+            "bc": behavioural_cloning({policy.target: action}, {policy.target: there.action}),
+            "adversarial": passing(judge.judge(fake), last),
+            "discriminator": telling_apart(judge(real), judge(fake.detach()), real_last, last),
+            "dynamics": unexplained_change(policy.dynamics(state, there.action), state, following, last),
+        }
+        if self.logs_now:
+            self.log_parts(parts, len(state) + len(real_state))
+        weights = {"adversarial": self.adversarial_weight}
+        return torch.stack([weights.get(name, 1.0) * loss for name, loss in parts.items()]).sum()
+
+    def _before_and_after(self, domain: str, steps: Transitions) -> tuple[Tensor, Tensor]:
+        """States ``(B, S_d)`` before and after the steps; after a trajectory's last step the same again."""
+        states = self.states[domain]
+        return states[steps.row], states[steps.row + ~_course(steps).last]
+
+
+class GamaAdaptation(KnownStates):
+    """Behavioural cloning of the target task by the source policy, in the source domain alone; all else is frozen.
+
+    Args:
+        policy: The policy with trained maps.
+        epochs: Passes over the target task's data and its mix.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate.
+        target_mix: Whether mixed-in proxy steps of the target domain train the source policy too, through the maps.
+    """
+
+    demand = Demand("mix", images=False)
+
+    def __init__(
+        self,
+        policy: GamaPolicy,
+        epochs: int = 50,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+        target_mix: bool = False,
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.learns_from = {policy.source, policy.target} if target_mix else {policy.source}
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """Everything but the source policy."""
+        return {name: part for name, part in self.policy.named_children() if name != "source_policy"}
+
+    def trained_parameters(self) -> Iterable[nn.Parameter]:
+        """The source policy's."""
+        return self.policy.source_policy.parameters()
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Behavioural cloning on the target task and the mixed-in alignment data."""
+        steps = {domain: s for domain, s in batch.transitions.items() if domain in self.learns_from}
+        if not steps:  # by chance, the last batch of an epoch may hold nothing else
+            return torch.stack([parameter.sum() for parameter in self.trained_parameters()]).sum() * 0
+        loss = behavioural_cloning(self.predict(steps), {domain: s.action for domain, s in steps.items()})
+        if self.logs_now:
+            self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
+        return loss
+
+
+def _course(steps: Transitions) -> Course:
+    assert steps.course is not None, "the phase's demand asks for it"
+    return steps.course
+
+
+def _decoder(policy: GamaPolicy, domain: str, hidden: int) -> PointDecoder:
+    spec = policy.domains[domain]
+    assert spec.image_key is not None, f"domain {domain!r} has eyes and no camera"
+    return PointDecoder(policy.sizes[domain] - spec.state_size, spec.image_key.shape, hidden)

@@ -1,0 +1,245 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import seen
+import tiny
+import torch
+from lightning.pytorch import Trainer
+from torch import Tensor
+from torch.nn import functional
+
+from datamodules.errors import ConfigError
+from datamodules.transfer import TransferDataModule
+from datamodules.types import Batch
+from plp_lightning.baselines.gama import GamaPolicy
+from plp_lightning.baselines.gama_phases import GamaAdaptation, GamaAlignment, GamaPretraining, KnownStates
+from plp_lightning.callbacks.freezing import FreezeGuard
+from plp_lightning.phases import Phase
+
+
+class Recorded(Phase[GamaPolicy]):
+    """Keeps the parts of a step instead of logging them."""
+
+    logs_now = True  # type: ignore[assignment]
+
+    def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
+        self.parts = parts
+
+
+class WatchedPretraining(Recorded, GamaPretraining): ...
+
+
+class WatchedAlignment(Recorded, GamaAlignment): ...
+
+
+class WatchedAdaptation(Recorded, GamaAdaptation): ...
+
+
+def policy_of(data: TransferDataModule) -> GamaPolicy:
+    torch.manual_seed(0)
+    return GamaPolicy(data.problem, hidden=16, policy_layers=1, map_layers=1, dynamics_layers=1, image_channels=[4, 3])
+
+
+def begun(phase: KnownStates, data: TransferDataModule, make_trainer: Callable[..., Trainer]) -> Batch:
+    """The first batch of a phase that knows its states."""
+    trainer = make_trainer()
+    trainer.datamodule = data  # type: ignore[attr-defined]
+    phase.trainer = trainer
+    phase.on_fit_start()
+    return next(iter(data.loader(phase.demand)))
+
+
+def gradients(phase: Phase[GamaPolicy], loss: Tensor) -> dict[str, Tensor]:
+    phase.zero_grad()
+    loss.backward()
+    return {name: p.grad.clone() for name, p in phase.named_parameters() if p.grad is not None}
+
+
+def test_parts_of_alignment_are_the_separate_losses(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = WatchedAlignment(policy_of(data), adversarial_weight=0.3, discriminator_hidden=8)
+    batch = begun(phase, data, make_trainer)
+    total = phase.training_step(batch, 0)
+    policy, judge, steps = phase.policy, phase.discriminator, batch.transitions
+    source, target, tables = steps["flat"], steps["tall"], data.tables
+    assert source.course is not None
+    assert target.course is not None
+    errors, real, fake, told = [], [], [], []
+    for i in range(len(target.action)):
+        state = policy.scaler(target.observation.state[i : i + 1], "tall")
+        action = policy.decide({"tall": target.observation.take([i])}, {"tall": target.task[[i]]})["tall"]
+        errors.append((action - target.action[i]).square().mean())
+        moved = policy.state_map(state)
+        arrived = policy.state_map(policy.dynamics(state, action))
+        planned = policy.imitate(moved, target.task[[i]])
+        if not target.course.last[i]:
+            logit = judge(judge.describe(moved, planned, arrived, target.task[[i]]))
+            fake.append(functional.logsigmoid(logit))
+            told.append(functional.logsigmoid(-logit))
+    for i, row in enumerate(source.row.tolist()):
+        if not source.course.last[i]:
+            before, after = (policy.scaler(tables["flat"].observation.state[[n]], "flat") for n in (row, row + 1))
+            described = judge.describe(before, source.action[[i]], after, source.task[[i]])
+            real.append(functional.logsigmoid(judge(described)))
+    expected = {
+        "bc": torch.stack(errors).mean(),
+        "adversarial": -torch.cat(fake).mean(),
+        "discriminator": -torch.cat(real).mean() - torch.cat(told).mean(),
+    }
+    for name, value in expected.items():
+        torch.testing.assert_close(phase.parts[name], value, msg=name)
+    parts = phase.parts
+    whole = parts["bc"] + 0.3 * parts["adversarial"] + parts["discriminator"] + parts["dynamics"]
+    torch.testing.assert_close(total, whole)
+
+
+def test_the_discriminators_unit_is_a_typical_change_of_the_source(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = WatchedAlignment(policy_of(data))
+    begun(phase, data, make_trainer)
+    table, changes = data.tables["flat"], []
+    for episode in data.episodes("flat", data.proxies, "train"):
+        states = table.observation.state[table.offset[episode] : table.offset[episode + 1]]
+        scaled = phase.policy.scaler(states, "flat")
+        # What follows the last step is that step again.
+        changes += [*(scaled[1:] - scaled[:-1]), torch.zeros(3)]
+    expected = torch.stack(changes).square().mean(dim=0).sqrt()
+    torch.testing.assert_close(phase.discriminator.unit, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_each_loss_of_alignment_reaches_its_own_player_only(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = WatchedAlignment(policy_of(data))
+    batch = begun(phase, data, make_trainer)
+    phase.training_step(batch, 0)
+    parts = dict(phase.parts)
+    players = {
+        "bc": {"policy.state_map", "policy.source_policy", "policy.action_map"},
+        "adversarial": {"policy.state_map", "policy.source_policy", "policy.action_map"},
+        "discriminator": {"discriminator.net"},
+        "dynamics": {"policy.dynamics"},
+    }
+    for name in parts:
+        phase.training_step(batch, 0)
+        reached = {".".join(n.split(".")[:2]) for n, g in gradients(phase, phase.parts[name]).items() if g.any()}
+        assert reached == players[name], name
+    held = {id(p) for group in phase.optimizer().param_groups for p in group["params"]}
+    assert not held & {id(p) for p in phase.policy.source_policy.parameters()}
+
+
+def test_players_learn_at_rates_of_their_own(trajectory_file: Path) -> None:
+    phase = WatchedAlignment(
+        policy_of(tiny.data_module(trajectory_file)), lr=1.0, discriminator_lr=2.0, dynamics_lr=3.0
+    )
+    groups = phase.optimizer().param_groups
+    parts = phase.policy.state_map, phase.discriminator, phase.policy.dynamics
+    for group, part, rate in zip(groups, parts, (1.0, 2.0, 3.0), strict=True):
+        assert group["lr"] == rate
+        assert {id(p) for p in part.parameters()} <= {id(p) for p in group["params"]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "changed"),
+    [
+        (GamaPretraining, {"source_policy", "dynamics"}),
+        (GamaAlignment, {"state_map", "action_map", "dynamics"}),
+        (GamaAdaptation, {"source_policy"}),
+    ],
+)
+def test_phases_change_what_they_are_for(
+    kind: type[GamaPretraining | GamaAlignment | GamaAdaptation],
+    changed: set[str],
+    trajectory_file: Path,
+    make_trainer: Callable[..., Trainer],
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = kind(policy_of(data), weight_decay=0.1)
+    before = {name: value.clone() for name, value in phase.policy.state_dict().items()}
+    make_trainer(FreezeGuard(), epochs=1).fit(phase, datamodule=data)
+    now = phase.policy.state_dict()
+    assert {name.split(".")[0] for name in before if not torch.equal(now[name], before[name])} == changed
+    frozen = {name.split(".")[0] for name in phase.frozen}
+    assert not frozen & changed
+    # Without cameras there are no eyes that could learn.
+    assert frozen | changed | {"eyes"} == {name for name, _ in phase.policy.named_children()}
+
+
+def test_adaptation_learns_from_the_source_domain_alone_unless_told_otherwise(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    for both in (False, True):
+        phase = WatchedAdaptation(policy_of(data), target_mix=both)
+        steps = begun(phase, data, make_trainer).transitions
+        assert set(steps) == {"flat", "tall"}
+        found = phase.training_step(Batch(steps, {}), 0)
+        decided = phase.policy.decide(
+            {d: s.observation for d, s in steps.items()}, {d: s.task for d, s in steps.items()}
+        )
+        errors = [(decided[d] - s.action).square().mean(dim=1) for d, s in steps.items() if both or d == "flat"]
+        torch.testing.assert_close(found, torch.cat(errors).mean())
+
+
+def test_a_batch_without_source_steps_teaches_nothing(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = WatchedAdaptation(policy_of(data))
+    steps = begun(phase, data, make_trainer).transitions
+    found = gradients(phase, phase.training_step(Batch({"tall": steps["tall"]}, {}), 0))
+    assert {name.split(".")[1] for name in found} == {"source_policy"}
+    assert not any(gradient.any() for gradient in found.values())
+
+
+@pytest.mark.parametrize("kind", [GamaPretraining, GamaAlignment, GamaAdaptation])
+def test_phases_refuse_other_policies(kind: type[Phase[GamaPolicy]], trajectory_file: Path) -> None:
+    policy = tiny.policy(tiny.data_module(trajectory_file))
+    with pytest.raises(ConfigError, match=f"phase {kind.__name__} trains a GamaPolicy, found a PortablePolicy"):
+        kind(policy)  # type: ignore[call-arg,arg-type]
+
+
+@pytest.fixture(scope="module")
+def seen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("seen") / "seen.hdf5"
+    seen.write(path)
+    return path
+
+
+def test_eyes_learn_from_reconstruction_alone(seen_file: Path) -> None:
+    data = seen.data_module(seen_file)
+    phase = WatchedPretraining(policy_of(data))
+    batch = next(iter(data.loader(phase.demand)))
+    phase.training_step(batch, 0)
+    reached = {
+        "bc": {"policy.source_policy"},
+        "dynamics": {"policy.dynamics"},
+        "reconstruction": {"policy.eyes", "decoders.left", "decoders.right"},
+    }
+    assert set(phase.parts) == set(reached)
+    for name, players in reached.items():
+        phase.training_step(batch, 0)
+        found = gradients(phase, phase.parts[name])
+        assert {".".join(n.split(".")[:2]) for n, gradient in found.items() if gradient.any()} == players, name
+
+
+def test_states_that_are_looked_up_are_those_that_are_perceived(
+    seen_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = seen.data_module(seen_file)
+    phase = WatchedAdaptation(policy_of(data), target_mix=True)
+    steps = begun(phase, data, make_trainer).transitions
+    with_images = {d: data.tables[d].take(s.row) for d, s in steps.items()}
+    decided = phase.policy.decide(
+        {d: s.observation for d, s in with_images.items()}, {d: s.task for d, s in steps.items()}
+    )
+    for domain, action in phase.predict(steps).items():
+        torch.testing.assert_close(action, decided[domain])
