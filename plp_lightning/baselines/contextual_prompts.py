@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -43,16 +44,16 @@ class Prompts(nn.Module):
             table: The steps.
             episodes: Which trajectory, by task index; tasks that are left out have none to show.
         """
-        device, order = self.offset.device, sorted(episodes)
-        lengths = torch.zeros(len(self.tasks), dtype=torch.int64)
-        for task in order:
-            lengths[task] = int(table.offset[episodes[task] + 1] - table.offset[episodes[task]])
-        rows = torch.cat([torch.arange(*table.offset[episodes[task] :][:2].tolist()) for task in order])
+        order, device = sorted(episodes), self.offset.device
+        chosen = np.array([episodes[task] for task in order])
+        rows = torch.from_numpy(table.rows_of(chosen))
         seen = table.observation.take(rows)
         self.state, self.action = seen.state.to(device), table.action[rows].to(device)
         if self.camera is not None and seen.image is not None:
             self.image = seen.image.to(device)
-        self.offset = nn.functional.pad(lengths.cumsum(0), (1, 0)).to(device)
+        lengths = np.zeros(len(self.tasks), dtype=np.int64)
+        lengths[order] = np.diff(table.offset)[chosen]
+        self.offset = torch.from_numpy(np.concatenate([[0], lengths.cumsum()])).to(device)
 
     def of(self, tasks: Tensor) -> Sequences:
         """The demonstrations of ``tasks (P,)`` int64.
