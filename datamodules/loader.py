@@ -118,21 +118,32 @@ class FixedBatches:
 
 
 class FixedPairs:
-    """Held-out trajectory pairs; the same batches at every pass.
+    """Each trajectory of a domain once, whole, beside one of its task in another domain; the same at every pass.
 
     Args:
-        pairs: Where they come from.
-        count: Number of batches.
+        tables: By domain.
+        episodes: ``episodes[domain][task]`` are trajectory ids in two domains. Those of the second come once each;
+            those of the first take turns beside them. Tasks that the first lacks are left out.
+        count: Pairs in a batch.
     """
 
-    def __init__(self, pairs: PairSource, count: int) -> None:
-        self.pairs, self.count = pairs, count
+    def __init__(
+        self, tables: Mapping[str, Table], episodes: Mapping[str, Mapping[int, np.ndarray]], count: int
+    ) -> None:
+        self.tables, self.domains = tables, tuple(episodes)
+        first, second = episodes.values()
+        turns = [np.resize(first[task], len(ids)) for task, ids in second.items() if task in first]
+        rows = [second[task] for task in second if task in first]
+        pairs = np.array([np.concatenate(part) if part else [] for part in (turns, rows)], dtype=np.int64)
+        self.chunks = [pairs[:, i : i + count] for i in range(0, pairs.shape[1], count)]
 
     def __len__(self) -> int:
         """Number of batches."""
-        return self.count
+        return len(self.chunks)
 
     def __iter__(self) -> Iterator[Batch]:
         """Pairs alone."""
-        for step in range(self.count):
-            yield Batch({}, self.pairs(0, step))
+        for chunk in self.chunks:
+            phase = np.zeros(chunk.shape[1])
+            parts = zip(self.domains, chunk, strict=True)
+            yield Batch({}, {domain: thin_out(self.tables[domain], ids, phase, stride=1) for domain, ids in parts})

@@ -188,12 +188,12 @@ class TransferDataModule(LightningDataModule):
         """Training batches of a phase."""
         tables = self._tables(demand)
         stride = self.stride if demand.pairs == "thinned" else 1
-        pairs = None if demand.pairs == "none" else PairSource(tables, self._pair_order("train"), stride)
+        pairs = None if demand.pairs == "none" else PairSource(tables, self._pair_order(), stride)
         return Loader(tables, self._order(demand), pairs, demand.course)
 
     def _order(self, demand: Demand) -> Order:
         if demand.steps == "none":
-            return NoSteps(self._pair_batches("train"))
+            return NoSteps(self._pair_batches())
         proxies = self.rows(self.proxies, "train")
         if demand.steps == "mix":
             return MixOrder(self.rows(self.target_tasks, "train"), proxies, self.mix, self.batch_size, self.seed)
@@ -203,13 +203,19 @@ class TransferDataModule(LightningDataModule):
     def _tables(self, demand: Demand) -> dict[str, Table]:
         return {d: table if demand.images else table.without_images() for d, table in self.tables.items()}
 
-    def _pair_order(self, part: Part) -> PairOrder:
-        episodes = {domain: self.episodes_by_task(domain, part) for domain in self.domains}
+    def _pair_order(self) -> PairOrder:
+        episodes = {domain: self.episodes_by_task(domain) for domain in self.domains}
         return PairOrder(episodes, self.pairs, self.seed)
 
-    def _pair_batches(self, part: Part) -> int:
+    def _pair_batches(self) -> int:
         """So many that as many pairs are drawn as the target domain has trajectories."""
-        return -(-len(self.episodes(self.target_domain, self.proxies, part)) // self.pairs)
+        return -(-len(self.episodes(self.target_domain, self.proxies, "train")) // self.pairs)
+
+    def _held_out_pairs(self, tables: Mapping[str, Table]) -> FixedPairs:
+        """Of the target domain what is held out; of the source domain too, where that has some of the task."""
+        source, target = self.source_domain, self.target_domain
+        partners = self.episodes_by_task(source, "train") | self.episodes_by_task(source, "held_out")
+        return FixedPairs(tables, {source: partners, target: self.episodes_by_task(target, "held_out")}, self.pairs)
 
     def episodes_by_task(self, domain: str, part: Part = "train") -> dict[int, np.ndarray]:
         """Trajectories of a domain's proxy tasks, by task index; tasks without any are left out."""
@@ -230,8 +236,7 @@ class TransferDataModule(LightningDataModule):
         demand = self._phase_demand()
         tables = self._tables(demand)
         if demand.steps == "none":
-            pairs = PairSource(tables, self._pair_order("held_out"), 1)
-            return FixedPairs(pairs, self._pair_batches("held_out"))
+            return self._held_out_pairs(tables)
         tasks = self.target_tasks if demand.steps == "mix" else self.proxies
         size = min(table.rows_at_a_time(1024) for table in tables.values())
         return FixedBatches(tables, self.rows(tasks, "held_out"), size, demand.course)
