@@ -51,6 +51,8 @@ class TransferDataModule(LightningDataModule):
         seed: Seed of every draw.
         image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches
             ask for them, and as much of them is kept. The batches are the same.
+        source_trajectories: Demonstrations of all proxy tasks together in each domain but the target domain; as many as
+            ``trajectories`` if not given.
         collector: Makes missing demonstrations; None if they can only come from the file.
     """
 
@@ -73,6 +75,7 @@ class TransferDataModule(LightningDataModule):
         mix: float = 2.0,
         seed: int = 0,
         image_memory: float = 4.0,
+        source_trajectories: int | None = None,
         collector: Collector | None = None,
     ) -> None:
         super().__init__()
@@ -80,6 +83,7 @@ class TransferDataModule(LightningDataModule):
         self.proxies, self.target_tasks, self.target = tuple(proxies), tuple(target_tasks), target
         self.source_domain, self.target_domain = source_domain, target_domain
         self.trajectories, self.target_trajectories = trajectories, target_trajectories
+        self.source_trajectories = source_trajectories or trajectories
         self.held_out, self.batch_size, self.pairs, self.stride = held_out, batch_size, pairs, stride
         self.mix, self.seed, self.image_memory, self.collector = mix, seed, image_memory, collector
         self._loader: Loader | None = None
@@ -89,11 +93,14 @@ class TransferDataModule(LightningDataModule):
 
     def demand(self) -> dict[str, dict[str, int]]:
         """Demonstrations that the experiment needs: ``demand[domain][task]``."""
-        per_proxy = -(-self.trajectories // len(self.proxies))
-        needed = {domain: dict.fromkeys(self.proxies, per_proxy) for domain in self.domains}
+        needed = {domain: dict.fromkeys(self.proxies, self._per_proxy(domain)) for domain in self.domains}
         per_target = -(-self.target_trajectories // len(self.target_tasks))
         needed[self.source_domain] |= dict.fromkeys(self.target_tasks, per_target)
         return needed
+
+    def _per_proxy(self, domain: str) -> int:
+        total = self.trajectories if domain == self.target_domain else self.source_trajectories
+        return -(-total // len(self.proxies))
 
     def missing(self) -> dict[str, dict[str, int]]:
         """The part of :meth:`demand` that the file lacks; empty if nothing is missing."""
