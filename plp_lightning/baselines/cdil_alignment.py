@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from datamodules.errors import ConfigError
 from datamodules.types import Batch, Demand, Transitions
 from plp_lightning.baselines.cdil import CdilPolicy
 from plp_lightning.baselines.cdil_networks import OTHER, Role, TaskNetwork
@@ -59,6 +60,8 @@ class CdilAlignment(CdilPhase):
         discriminator_hidden: Units in its hidden layers.
         discriminator_lr: Learning rate of the discriminators; None is ``lr``.
         first_moment: β₁ of AdamW, for all players.
+        slowdown: Share of the epochs, at the end, over which all rates fall to 0 in a line; players who never slow
+            down go on circling around each other.
         epochs: Passes over all data that there is.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
@@ -66,6 +69,7 @@ class CdilAlignment(CdilPhase):
 
     demand = Demand("all", images=False, course=True)
     parts_trained = ("translator",)
+    shared: Tensor
 
     def __init__(
         self,
@@ -78,11 +82,14 @@ class CdilAlignment(CdilPhase):
         discriminator_hidden: int = 192,
         discriminator_lr: float | None = None,
         first_moment: float = 0.5,
+        slowdown: float = 0.5,
         epochs: int = 20,
         lr: float = 5e-4,
         weight_decay: float = 0.0,
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay)
+        if not 0 <= slowdown <= 1:
+            raise ConfigError(f"alignment.slowdown is {slowdown}; expected a share from 0 to 1; set one")
         self.weights = {
             "adversarial": adversarial_weight,
             "cycle": cycle_weight,
@@ -90,15 +97,14 @@ class CdilAlignment(CdilPhase):
             "position": position_weight,
             "discriminator": 1.0,
         }
-        self.discriminator_lr, self.first_moment = lr if discriminator_lr is None else discriminator_lr, first_moment
+        self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
+        self.first_moment, self.slowdown = first_moment, slowdown
         sizes = {role: policy.domains[domain].state_size for domain, role in policy.roles.items()}
         tasks, hidden, layers = len(policy.tasks), discriminator_hidden, discriminator_layers
         self.discriminators = nn.ModuleDict(
             {role: TaskNetwork(2 * size, tasks, 1, hidden, layers) for role, size in sizes.items()}
         )
         self.register_buffer("shared", torch.ones(tasks), persistent=False)
-
-    shared: Tensor
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """One AdamW for all players, whose losses reach nobody else's parameters."""
@@ -114,16 +120,21 @@ class CdilAlignment(CdilPhase):
         proxies = self.trainer.datamodule.proxies  # type: ignore[attr-defined]
         self.shared.copy_(torch.tensor([float(task in proxies) for task in self.policy.tasks]))
 
+    def on_train_epoch_start(self) -> None:
+        """Slow down, once it is time to."""
+        epochs = self.trainer.max_epochs or self.epochs
+        share = slowed(self.current_epoch, epochs, self.slowdown)
+        for group, rate in zip(self.trainer.optimizers[0].param_groups, (self.lr, self.discriminator_lr), strict=True):
+            group["lr"] = rate * share
+
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """All terms, each the sum of both directions."""
         steps, trips = self._travel(batch)
-        return self._weighted([*self._consistency(steps, trips), *self._contest(steps, trips)])
+        return self._total(self._consistency(steps, trips)) | self._total(self._contest(steps, trips))
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
-        """The terms that can be compared between epochs: both directions, and no discriminator has a say in them."""
-        if len(batch.transitions) < 2:
-            return {}
-        return self._weighted([*self._consistency(*self._travel(batch))])
+        """The terms that can be compared between epochs, since no discriminator has a say in them."""
+        return self._total(self._consistency(*self._travel(batch)))
 
     def _travel(self, batch: Batch) -> tuple[dict[Role, Steps], dict[Role, RoundTrip]]:
         steps = {self.policy.roles[domain]: self._look(found, domain) for domain, found in batch.transitions.items()}
@@ -140,12 +151,9 @@ class CdilAlignment(CdilPhase):
         back = self.policy.translator(there.state, OTHER[role])
         return RoundTrip(there.latent, there.state, back.latent, back.state)
 
-    def _weighted(self, terms: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
-        return {
-            name: self.weights[name] * torch.stack([term[name] for term in terms if name in term]).sum()
-            for name in self.weights
-            if any(name in term for term in terms)
-        }
+    def _total(self, directions: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
+        both = [*directions]
+        return {name: self.weights[name] * torch.stack([terms[name] for terms in both]).sum() for name in both[0]}
 
     def _consistency(self, steps: Mapping[Role, Steps], trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
         """Terms that hold for each domain by itself."""
@@ -180,3 +188,21 @@ class CdilAlignment(CdilPhase):
         pairs = torch.cat([self.policy.pace(*real.states, role), made])
         judged: Tensor = self.discriminators[role](pairs, torch.cat([real.task, of.task]))[:, 0]
         return real_or_made(*judged.split([len(real.task), len(of.task)]), real.moves, of.moves)
+
+
+def slowed(epoch: int, epochs: int, slowdown: float) -> float:
+    """Share of the learning rate in an epoch: 1 at first, then falling in a line that meets 0 after the last epoch.
+
+    See "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
+    (https://arxiv.org/abs/1703.10593), appendix on training details, where ``slowdown`` is 1/2.
+
+    Args:
+        epoch: From 0 on.
+        epochs: How many there are.
+        slowdown: Share of them that the fall takes.
+
+    Example:
+        >>> [slowed(epoch, 4, 0.5) for epoch in range(4)]
+        [1.0, 1.0, 1.0, 0.5]
+    """
+    return min(1.0, (epochs - epoch) / (slowdown * epochs)) if slowdown > 0 else 1.0

@@ -24,7 +24,9 @@ def test_discriminator_loss_is_half_the_squared_distance_from_one_and_from_zero(
     assert real_or_made(real, made, of_real, of_made).item() == pytest.approx(by_hand)
 
 
-@pytest.mark.parametrize(("real", "made", "loss"), [(1.0, 0.0, 0.0), (0.0, 1.0, 1.0), (0.5, 0.5, 0.25), (1.0, 1.0, 0.5)])
+@pytest.mark.parametrize(
+    ("real", "made", "loss"), [(1.0, 0.0, 0.0), (0.0, 1.0, 1.0), (0.5, 0.5, 0.25), (1.0, 1.0, 0.5)]
+)
 def test_discriminator_loss_of_known_judgements(real: float, made: float, loss: float) -> None:
     one = torch.ones(1)
     assert real_or_made(torch.tensor([real]), torch.tensor([made]), one, one).item() == loss

@@ -1,0 +1,260 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+import torch
+from torch import Tensor, nn
+
+from datamodules.errors import ConfigError
+from datamodules.transfer import TransferDataModule
+from datamodules.types import Batch, Demand, DomainSpec, ObservationKey, Transitions
+from plp_lightning.baselines import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions
+from plp_lightning.baselines.cdil_phases import CdilPhase
+from plp_lightning.phases import Phase
+
+PHASES = (CdilPositions, CdilAlignment, CdilDynamics, CdilAdaptation)
+TRAINED = {
+    CdilPositions: {"positions", "pace"},
+    CdilAlignment: {"translator"},
+    CdilDynamics: {"inverse_dynamics"},
+    CdilAdaptation: {"clones"},
+}
+
+
+class Place:
+    """What a phase and its data know of each other, without a trainer."""
+
+    def __init__(self, data: TransferDataModule, phase: CdilPhase) -> None:
+        self.datamodule, self.lightning_module = data, phase
+
+
+@pytest.fixture
+def data(trajectory_file: Path) -> TransferDataModule:
+    return tiny.data_module(trajectory_file, batch_size=64)
+
+
+@pytest.fixture
+def policy(data: TransferDataModule) -> CdilPolicy:
+    torch.manual_seed(0)
+    return CdilPolicy(data.problem, latent=8, hidden=16, encoder_layers=1, policy_layers=1, decoder_layers=1)
+
+
+def begin(phase: CdilPhase, data: TransferDataModule, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Phase, "trainer", Place(data, phase))
+    monkeypatch.setattr(data, "trainer", Place(data, phase))
+    phase.on_fit_start()
+
+
+def first_batch(data: TransferDataModule, demand: Demand) -> Batch:
+    return next(iter(data.loader(demand)))
+
+
+def gradients(loss: Tensor, module: nn.Module) -> float:
+    found = torch.autograd.grad(loss, [*module.parameters()], retain_graph=True, allow_unused=True)
+    return sum(float(g.abs().sum()) for g in found if g is not None)
+
+
+# -- policy -----------------------------------------------------------------------------------------
+
+
+def test_encode_brings_all_states_into_the_scaled_target_space(data: TransferDataModule, policy: CdilPolicy) -> None:
+    seen = {domain: tiny.observe(table.observation.state[:7].numpy()) for domain, table in data.tables.items()}
+    found = policy.encode(seen)
+    assert {domain: tuple(z.shape) for domain, z in found.items()} == {"flat": (7, 5), "tall": (7, 5)}
+    assert torch.equal(found["tall"], policy.scaler(seen["tall"].state, "tall"))
+    assert torch.equal(found["flat"], policy.translate(policy.scaler(seen["flat"].state, "flat")))
+
+
+def test_each_domain_acts_with_a_clone_of_its_own(data: TransferDataModule, policy: CdilPolicy) -> None:
+    state, tasks = data.tables["tall"].observation.state[:3].numpy(), [tiny.TARGET, "goal_0", tiny.TARGET]
+    before = policy.act(tiny.observe(state), "tall", tasks)  # type: ignore[arg-type]
+    assert before.shape == (3, 2)
+    assert np.abs(before).max() < 1
+    with torch.no_grad():
+        policy.clones["source"].net[0].bias += 1  # type: ignore[union-attr, index, operator]
+    np.testing.assert_array_equal(policy.act(tiny.observe(state), "tall", tasks), before)  # type: ignore[arg-type]
+
+
+def test_source_and_target_are_those_of_the_problem_not_the_first_and_the_last(data: TransferDataModule) -> None:
+    problem = data.problem
+    turned = type(problem)(problem.domains, problem.tasks, "tall", "flat", problem.statistics)
+    policy = CdilPolicy(turned, latent=4, hidden=8, encoder_layers=1, policy_layers=1, decoder_layers=1)
+    assert policy.encode({"tall": tiny.observe(np.zeros((2, 5)))})["tall"].shape == (2, 3)
+
+
+def test_the_architecture_rebuilds_the_policy(policy: CdilPolicy) -> None:
+    again = CdilPolicy(type(policy.problem).from_dict(policy.problem.to_dict()), **policy.architecture)
+    again.load_state_dict(policy.state_dict())
+
+
+def test_three_domains_are_refused() -> None:
+    specs = [tiny.spec(name, 3, 2) for name in ("one", "two", "three")]
+    with pytest.raises(ConfigError, match=r"between two domains, found 3 \(one, two, three\); leave two"):
+        CdilPolicy(tiny.problem(specs, ["a"]))
+
+
+def test_cameras_are_refused() -> None:
+    seeing = DomainSpec("eye", (ObservationKey("a", (2,)), ObservationKey("c", (8, 8, 3), "image")), 2, 10.0)
+    with pytest.raises(ConfigError, match="domain 'eye' has a camera; choose an experiment without cameras"):
+        CdilPolicy(tiny.problem([tiny.spec("blind", 3, 2), seeing], ["a"]))
+
+
+# -- phases -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", PHASES, ids=lambda kind: kind.__name__)
+def test_a_phase_freezes_what_it_does_not_train(kind: type[CdilPhase], policy: CdilPolicy) -> None:
+    children = {name for name, _ in policy.named_children()}
+    assert set(kind(policy).frozen) == children - TRAINED[kind]  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("kind", PHASES, ids=lambda kind: kind.__name__)
+def test_the_losses_of_a_phase_teach_what_it_trains_and_hold_out_comparable_ones(
+    kind: type[CdilPhase], data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phase = kind(policy)  # type: ignore[call-arg]
+    begin(phase, data, monkeypatch)
+    parts = phase.losses(first_batch(data, phase.demand))
+    total = torch.stack([*parts.values()]).sum()
+    taught = {name for name, part in policy.named_children() if [*part.parameters()] and gradients(total, part) > 0}
+    assert taught >= TRAINED[kind] - {"pace"}
+    held_out = [phase.held_out_losses(batch) for batch in data.val_dataloader()]
+    assert all(set(found) <= set(parts) for found in held_out)
+    assert any(held_out)
+
+
+def test_positions_are_regressed_to_the_share_that_lies_behind(data: TransferDataModule, policy: CdilPolicy) -> None:
+    phase = CdilPositions(policy)
+    batch = first_batch(data, phase.demand)
+    errors = []
+    for domain, role in policy.roles.items():
+        steps = batch.transitions[domain]
+        assert steps.course is not None
+        for i, progress in enumerate(steps.course.progress.tolist()):
+            state = policy.scaler(steps.observation.state[i : i + 1], domain)
+            errors.append((policy.position(state, steps.task[i : i + 1], role).item() - progress) ** 2)
+    assert phase.losses(batch)["position"].item() == pytest.approx(float(np.mean(errors)), rel=1e-4)
+
+
+def test_inverse_dynamics_learn_from_target_steps_that_show_their_result(
+    data: TransferDataModule, policy: CdilPolicy
+) -> None:
+    phase = CdilDynamics(policy)
+    batch = first_batch(data, phase.demand)
+    steps = batch.transitions["tall"]
+    assert steps.course is not None
+    kept = ~steps.course.last
+    assert 0 < kept.sum() < len(kept)
+    now, then = (policy.scaler(x.state, "tall")[kept] for x in (steps.observation, steps.course.following))
+    expected = (policy.infer(now, then) - steps.action[kept]).square().mean()
+    torch.testing.assert_close(phase.losses(batch)["inverse_dynamics"], expected)
+    assert phase.held_out_losses(Batch({"flat": batch.transitions["flat"]}, {})) == {}
+
+
+def of_task(batch: Batch, policy: CdilPolicy, domain: str, names: Sequence[str]) -> Tensor:
+    return torch.isin(batch.transitions[domain].task, torch.tensor([policy.tasks[name] for name in names]))
+
+
+def moved(steps: Transitions, rows: Tensor) -> Transitions:
+    """The steps with other states at ``rows``."""
+    assert steps.course is not None
+    shift = rows.float()[:, None] * 0.3
+    following = steps.course.following._replace(state=steps.course.following.state + shift)
+    seen = steps.observation._replace(state=steps.observation.state + shift)
+    return steps._replace(observation=seen, course=steps.course._replace(following=following))
+
+
+def test_the_target_task_takes_part_in_both_cycles_and_in_nothing_else(
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phase = CdilAlignment(policy, discriminator_hidden=8, discriminator_layers=1)
+    begin(phase, data, monkeypatch)
+    batch = first_batch(data, phase.demand)
+    rows = of_task(batch, policy, "flat", [tiny.TARGET])
+    assert 0 < rows.sum() < len(rows)
+    assert not of_task(batch, policy, "tall", [tiny.TARGET]).any()
+    changed = Batch(batch.transitions | {"flat": moved(batch.transitions["flat"], rows)}, {})
+    before, after = phase.losses(batch), phase.losses(changed)
+    assert {name for name in before if not torch.equal(before[name], after[name])} == {"cycle", "latent"}
+
+
+def test_each_player_is_taught_by_its_own_losses(
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phase = CdilAlignment(policy, discriminator_hidden=8, discriminator_layers=1)
+    begin(phase, data, monkeypatch)
+    parts = phase.losses(first_batch(data, phase.demand))
+    for name, loss in parts.items():
+        assert (gradients(loss, phase.discriminators) > 0) == (name == "discriminator"), name
+        assert (gradients(loss, policy.translator) > 0) == (name != "discriminator"), name
+
+
+def test_weights_scale_their_terms(
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch.manual_seed(0)
+    plain = CdilAlignment(policy, 1.0, 1.0, 1.0, 1.0)
+    torch.manual_seed(0)
+    heavy = CdilAlignment(policy, 2.0, 3.0, 5.0, 7.0)
+    begin(plain, data, monkeypatch)
+    begin(heavy, data, monkeypatch)
+    batch = first_batch(data, plain.demand)
+    ratios = {name: heavy.losses(batch)[name] / value for name, value in plain.losses(batch).items()}
+    expected = {"adversarial": 2.0, "cycle": 3.0, "latent": 5.0, "position": 7.0, "discriminator": 1.0}
+    assert {name: pytest.approx(value.item()) for name, value in ratios.items()} == expected
+
+
+def test_one_optimiser_holds_both_players_with_a_rate_of_each(policy: CdilPolicy) -> None:
+    phase = CdilAlignment(policy, discriminator_lr=0.25, lr=0.5, weight_decay=0.125)
+    groups = phase.configure_optimizers().param_groups
+    held = [{id(p) for p in group["params"]} for group in groups]
+    assert held == [{id(p) for p in part.parameters()} for part in (policy.translator, phase.discriminators)]
+    assert [(g["lr"], g["weight_decay"], g["betas"]) for g in groups] == [(x, 0.125, (0.5, 0.999)) for x in (0.5, 0.25)]
+
+
+def test_the_target_clone_learns_translated_steps_of_the_target_task_and_own_steps_of_proxies(
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phase = CdilAdaptation(policy)
+    begin(phase, data, monkeypatch)
+    batch, table = first_batch(data, phase.demand), data.tables["flat"]
+    errors = []
+    for row, task in zip(
+        *(x.tolist() for x in (batch.transitions["flat"].row, batch.transitions["flat"].task)), strict=True
+    ):
+        if task == policy.tasks[tiny.TARGET] and row != table.last_row[row]:
+            pair = policy.translate(policy.scaler(table.observation.state[row : row + 2], "flat"))
+            clone = policy.clone(pair[:1], torch.tensor([task]), "target")
+            errors.append((clone - policy.infer(pair[:1], pair[1:])).square().mean().item())
+    own = batch.transitions["tall"]
+    clone = policy.decide({"tall": own.observation}, {"tall": own.task})["tall"]
+    errors += (clone - own.action).square().mean(1).tolist()
+    assert phase.losses(batch)["bc_target"].item() == pytest.approx(float(np.mean(errors)), rel=1e-4)
+
+
+def test_the_source_clone_learns_the_sources_own_actions(
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phase = CdilAdaptation(policy)
+    begin(phase, data, monkeypatch)
+    batch = first_batch(data, phase.demand)
+    steps = batch.transitions["flat"]
+    clone = policy.decide({"flat": steps.observation}, {"flat": steps.task})["flat"]
+    parts = phase.losses(batch)
+    torch.testing.assert_close(parts["bc_source"], (clone - steps.action).square().mean())
+    assert gradients(parts["bc_source"], policy.clones["target"]) == 0
+    assert gradients(parts["bc_target"], policy.clones["source"]) == 0
+
+
+def test_batches_of_one_domain_alone_are_no_obstacle(
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phase = CdilAdaptation(policy)
+    begin(phase, data, monkeypatch)
+    parts = first_batch(data, phase.demand).transitions
+    assert set(phase.losses(Batch({"tall": parts["tall"]}, {}))) == {"bc_target"}
+    assert set(phase.losses(Batch({"flat": parts["flat"]}, {}))) == {"bc_target", "bc_source"}
