@@ -49,7 +49,7 @@ def one_step(
         assert (found, ends) == (shape, shape[:1]), f"expected {shape} and {shape[:1]}, got {found} and {ends}"
     share = {domain: predicted.shape[1] if reduction == "mean" else 1 for domain, predicted in prediction.items()}
     errors = [
-        ((predicted - outcome[d].detach()).square().sum(1) / share[d]).masked_fill(last[d], 0).sum()
+        (predicted - outcome[d].detach()).masked_fill(last[d][:, None], 0).square().sum() / share[d]
         for d, predicted in prediction.items()
     ]
     counted = torch.stack([(~ends).sum() for ends in last.values()]).sum()

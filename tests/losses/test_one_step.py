@@ -25,7 +25,7 @@ def slowly(prediction: dict[str, Tensor], outcome: dict[str, Tensor], last: dict
     for domain, predicted in prediction.items():
         for i in range(len(predicted)):
             if not last[domain][i]:
-                squares = [float((predicted[i, j] - outcome[domain][i, j]) ** 2) for j in range(predicted.shape[1])]
+                squares = [(predicted[i, j] - outcome[domain][i, j]).item() ** 2 for j in range(predicted.shape[1])]
                 errors.append(sum(squares) / (len(squares) if reduction == "mean" else 1))
     return sum(errors) / len(errors)
 
