@@ -30,16 +30,16 @@ class Steps(NamedTuple):
 
 
 class RoundTrip(NamedTuple):
-    """States that were translated into the other domain and back."""
+    """States that were translated into the other domain, and the first of each two back."""
 
     latent: Tensor
-    """Of the states, ``(2, B, Z)``."""
+    """Of the first states, ``(B, Z)``."""
     abroad: Tensor
     """In the other domain, ``(2, B, O')``."""
     latent_abroad: Tensor
-    """Of those, ``(2, B, Z)``."""
+    """Of the first of those, ``(B, Z)``."""
     home: Tensor
-    """Back again, ``(2, B, O)``."""
+    """Back again, ``(B, O)``."""
 
 
 class CdilAlignment(CdilPhase):
@@ -148,8 +148,8 @@ class CdilAlignment(CdilPhase):
 
     def _round_trip(self, states: Tensor, role: Role) -> RoundTrip:
         there = self.policy.translator(states, role)
-        back = self.policy.translator(there.state, OTHER[role])
-        return RoundTrip(there.latent, there.state, back.latent, back.state)
+        back = self.policy.translator(there.state[0], OTHER[role])
+        return RoundTrip(there.latent[0], there.state, back.latent, back.state)
 
     def _total(self, directions: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
         both = [*directions]
@@ -159,7 +159,7 @@ class CdilAlignment(CdilPhase):
         """Terms that hold for each domain by itself."""
         for role, trip in trips.items():
             yield {
-                "cycle": cycle(steps[role].states, trip.home),
+                "cycle": cycle(steps[role].states[0], trip.home),
                 "latent": cycle(trip.latent, trip.latent_abroad),
                 "position": self._position_gap(steps[role], trip, role),
             }
