@@ -36,6 +36,7 @@ class Prompts(nn.Module):
         self.register_buffer("action", torch.zeros(0, spec.action_size))
         self.register_buffer("image", torch.zeros(0, *(self.camera or ()), dtype=torch.uint8))
         self.register_buffer("offset", torch.zeros(len(tasks) + 1, dtype=torch.int64))
+        self.register_load_state_dict_pre_hook(_make_room)
 
     def choose(self, table: Table, episodes: Mapping[int, int]) -> None:
         """Take demonstrations from the source domain's steps.
@@ -75,10 +76,10 @@ class Prompts(nn.Module):
         image = None if self.camera is None else self.image[rows]
         return Sequences(Observation(self.state[rows], image), frame, mask, self.action[rows])
 
-    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
-        # How long the demonstrations are only the checkpoint knows.
-        for name in ("state", "action", "image"):
-            known, loaded = getattr(self, name), state_dict.get(prefix + name)
-            if loaded is not None and loaded.shape[1:] == known.shape[1:]:
-                setattr(self, name, known.new_zeros(loaded.shape))
-        super()._load_from_state_dict(state_dict, prefix, *rest)
+
+def _make_room(prompts: nn.Module, state: dict[str, Any], prefix: str, *rest: object) -> None:
+    """Before a checkpoint is loaded: how long the demonstrations are, only the checkpoint knows."""
+    for name in ("state", "action", "image"):
+        known, loaded = getattr(prompts, name), state.get(prefix + name)
+        if loaded is not None and loaded.shape[1:] == known.shape[1:]:
+            setattr(prompts, name, known.new_zeros(loaded.shape))

@@ -8,6 +8,7 @@ first of these has it (Section 5.4): on what each sublayer gives, not on the att
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -226,7 +227,9 @@ class TransformerDecoder(nn.Module):
 
     def __init__(self, width: int, heads: int, layers: int, hidden: int, dropout: float) -> None:
         super().__init__()
-        self.layers = nn.ModuleList(DecoderLayer(width, heads, hidden, dropout) for _ in range(layers))
+        stack = nn.ModuleList(DecoderLayer(width, heads, hidden, dropout) for _ in range(layers))
+        # torch's own type of a list of modules does not say which.
+        self.layers = cast("Sequence[DecoderLayer]", stack)
         self.norm = nn.LayerNorm(width)
 
     def forward(self, x: Tensor, packing: Packing, shown: Tensor, shown_packing: Packing) -> Tensor:
