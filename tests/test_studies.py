@@ -1,0 +1,126 @@
+"""Studies are overrides: every command of docs/studies.md is read, and a small one is run."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from command import ROOT, TINY, complaint, plp
+from test_configs import invent_demonstrations
+
+from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
+from plp_lightning.envs.proxies import some_proxies
+from plp_lightning.envs.synthetic import LinearPoint
+from plp_lightning.verbs.config import parse
+
+DOCUMENT = (ROOT / "docs" / "studies.md").read_text()
+BLOCKS = re.findall(r"```bash\n(.*?)```", DOCUMENT, re.DOTALL)
+
+
+def commands() -> dict[str, list[str]]:
+    """Arguments of each ``plp fit`` of the document, by what tells it from the others."""
+    aliases = dict(re.findall(r"alias (\w+)='plp fit (.*)'", DOCUMENT)) | {"plp fit": ""}
+    found = {}
+    for line in "".join(BLOCKS).splitlines():
+        begin = next((name for name in aliases if line.startswith(f"{name} ")), None)
+        if begin is not None:
+            rest = line.removeprefix(begin)
+            found[rest.strip()] = shlex.split(f"{aliases[begin]} {rest}")
+    return found
+
+
+COMMANDS = commands()
+
+
+def absolute(words: list[str]) -> list[str]:
+    """Configuration files as they are found from anywhere."""
+    return [str(ROOT / word) if word.startswith("configs/") else word for word in words]
+
+
+def numbers(words: list[str]) -> tuple[str, str, Mapping[str, int]]:
+    """Experiment, method, and how many proxy demonstrations each domain brings."""
+    experiment = parse(absolute(words))
+    demand = experiment.data.demand()
+    proxies = experiment.data.proxies
+    return experiment.name, experiment.method, {d: sum(demand[d][task] for task in proxies) for d in demand}
+
+
+def test_every_documented_row_has_a_run_directory_of_its_own() -> None:
+    assert len(COMMANDS) == 24
+    paths = {parse(absolute(words)).run_path for words in COMMANDS.values()}
+    assert len(paths) == len(COMMANDS)
+
+
+def test_sources_share_a_fixed_number_or_bring_as_many_each() -> None:
+    rows = [numbers(words) for words in COMMANDS.values() if "p2p_medium_sources" in " ".join(words)]
+    assert len(rows) == 7
+    for name, method, found in rows:
+        count = int(name.rsplit("_", 1)[1])
+        sources = [n for domain, n in found.items() if domain != "point"]
+        assert found["point"] == 1200
+        assert len(sources) == count
+        assert len({*sources}) == 1
+        assert sum(sources) == (1200 if method == "plp_t_fixed" else 1200 * count)
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "configs" / "studies").glob("*_sources_*.yaml")), ids=lambda p: p.stem)
+def test_pages_of_several_sources_add_agents_to_their_experiment(page: Path) -> None:
+    base = ROOT / "configs" / f"{page.stem.split('_sources')[0]}.yaml"
+    alone = parse(["--config", str(base)])
+    several = parse(["--config", str(base), "--config", str(page)])
+    assert several.name == page.stem
+    assert (several.data.source_domain, several.data.target_domain) == (
+        alone.data.source_domain,
+        alone.data.target_domain,
+    )
+    assert len(several.domains) == int(page.stem[-1]) + 1
+    said = {name: domain.simulator.spec(name).env for name, domain in several.domains.items()}
+    assert len({*said.values()}) == len(said)
+    assert said.items() >= {name: domain.simulator.spec(name).env for name, domain in alone.domains.items()}.items()
+    assert {domain.simulator.tasks for domain in several.domains.values()} == {several.data.tasks}
+
+
+def test_fewer_goals_are_among_more_and_bring_all_their_starts() -> None:
+    maze = PointMaze("medium")
+    chosen = {n: some_proxies(maze, "goal_1_6", n) for n in range(1, 26)}
+    for n, tasks in chosen.items():
+        goals = {maze.target_of(task) for task in tasks}
+        assert len(goals) == n
+        assert "goal_1_6" not in goals
+        assert {*tasks} == {task for goal in goals for task in maze.target_tasks(goal)}
+        assert {*tasks} >= {*chosen.get(n - 1, ())}
+    assert chosen[25] == maze.proxies("goal_1_6") == some_proxies(maze, "goal_1_6", None)
+    assert chosen[5] == some_proxies(WalkerMaze("medium"), "goal_1_6", 5)
+    assert chosen[5] == tuple(task for task in maze.proxies("goal_1_6") if task in chosen[5])
+
+
+def test_every_task_is_part_of_its_own_target() -> None:
+    for simulator in (PointMaze("medium"), PointMaze("umaze"), LinearPoint(1)):
+        assert all(task in simulator.target_tasks(simulator.target_of(task)) for task in simulator.tasks)
+
+
+def test_too_many_goals_are_named() -> None:
+    words = ["--config", str(ROOT / "configs" / "p2p_umaze.yaml"), "--data.proxy_goals"]
+    assert "--data.proxy_goals is 7; expected 1 to 6" in complaint("fit", *words, 7)
+    assert "--data.proxy_goals is 0; expected at least 1" in complaint("fit", *words, 0)
+
+
+def test_three_sources_run_in_miniature(tmp_path: Path) -> None:
+    words = absolute(["--config", "configs/p2p_medium.yaml", "--config", "configs/studies/p2p_medium_sources_3.yaml"])
+    words += ["--config", str(ROOT / "configs" / "methods" / "plp_t.yaml"), *TINY]
+    words += ["--data.root", str(tmp_path), "--run_root", str(tmp_path), "--data.proxy_goals", "2"]
+    words += ["--data.source_trajectories", "8", "--data.trajectories", "16"]
+    for name in parse(words).domains:
+        words += [f"--domains.{name}.simulator.horizon", "5"]
+    experiment = parse(words)
+    assert {*experiment.data.demand()["turned"].values()} == {1}
+    invent_demonstrations(experiment)
+    answer = plp("fit", *words)
+    assert answer.code == 0, answer
+    results = json.loads((experiment.run_path / "results.json").read_text())
+    assert (results["experiment"], results["method"]) == ("p2p_medium_sources_3", "plp_t")
+    assert results["proxy"]["episodes"] == 4
