@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from datamodules.errors import ConfigError
-from datamodules.types import Batch, Demand, Observation, Transitions
-from plp_lightning.losses import reconstruction
+from datamodules.types import Batch, Demand, Transitions
+from plp_lightning.base_policy import Parts
 from plp_lightning.losses.one_step import one_step
 from plp_lightning.phases.adaptation import Adaptation
 from plp_lightning.phases.alignment import Alignment, Term
@@ -93,34 +93,16 @@ class StateOnlyAlignment(Alignment):
         self.demand = replace(self.demand, course=True)
         self.next_reduction, self.target = next_reduction, policy.problem.target_domain
 
-    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Total loss of one batch."""
-        steps, pairs = batch.transitions, batch.pairs
-        frames = {d: [s.observation, pairs[d].observation] if d in pairs else [s.observation] for d, s in steps.items()}
-        encoded = self.policy.encode({domain: _joined(parts) for domain, parts in frames.items()})
-        latent = {domain: encoded[domain][: len(s.action)] for domain, s in steps.items()}
-        parts = self._step_terms(latent, steps) | self._alignment_terms(list(latent.values()))
-        if self.image_decoder is not None:
-            images = {domain: s.observation.image for domain, s in steps.items() if s.observation.image is not None}
-            parts["reconstruction"] = reconstruction(self.reconstruct({d: latent[d] for d in images}), images)
-        if pairs:
-            parts["tcc"] = self._tcc([(encoded[d][len(steps[d].action) :], s) for d, s in pairs.items()])
-        total = torch.stack([self.weights.get(name, 1.0) * value for name, value in parts.items()]).sum()
-        if self.logs_now:
-            spread = torch.cat(list(latent.values())).detach().std(dim=0).mean()
-            self.log_parts(parts | {"loss": total, "latent_std": spread}, self._size(batch))
-        return total
-
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Held-out losses that no source action is needed for."""
         steps = batch.transitions
         latent = self.policy.encode({domain: s.observation for domain, s in steps.items()})
         size = self._size(batch)
-        self.log("val/next", self._step_terms(latent, steps)["next"], batch_size=size, on_epoch=True)
+        self.log("val/next", self.imitation_terms(latent, steps)["next"], batch_size=size, on_epoch=True)
         known = {domain: s for domain, s in steps.items() if domain == self.target}
         Phase.validation_step(self, Batch(known, {}), batch_idx)
 
-    def _step_terms(self, latent: Mapping[str, Tensor], steps: Mapping[str, Transitions]) -> dict[str, Tensor]:
+    def imitation_terms(self, latent: Parts, steps: Mapping[str, Transitions]) -> dict[str, Tensor]:
         """L_next, and where there are steps of the target domain L_IDM."""
         last, following = {}, {}
         for domain, s in steps.items():
@@ -194,8 +176,3 @@ def _check_decoder(policy: StateOnlyPolicy) -> None:
     if not policy.context_columns[policy.problem.target_domain]:
         found = policy.architecture["decoder_state"]
         raise ConfigError(f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'all'")
-
-
-def _joined(parts: list[Observation[Tensor]]) -> Observation[Tensor]:
-    images = [part.image for part in parts if part.image is not None]
-    return Observation(torch.cat([part.state for part in parts]), torch.cat(images) if images else None)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import torch
 from torch import Tensor
 
 from datamodules.errors import ConfigError
-from datamodules.types import Batch, Demand, Observation, Sequences
+from datamodules.types import Batch, Demand, Observation, Sequences, Transitions
 from plp_lightning.base_policy import Parts
 from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, reconstruction, tcc
 from plp_lightning.networks import DomainDiscriminator, ImageDecoder
@@ -88,10 +88,7 @@ class Alignment(Phase[PortablePolicy]):
         steps, pairs = batch.transitions, batch.pairs
         encoded = self.policy.encode({d: _with_frames(s.observation, pairs.get(d)) for d, s in steps.items()})
         latent = {domain: encoded[domain][: len(s.action)] for domain, s in steps.items()}
-        plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
-        action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
-        parts = {"bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}, self.bc_reduction)}
-        parts |= self._alignment_terms(list(latent.values()))
+        parts = self.imitation_terms(latent, steps) | self._alignment_terms(list(latent.values()))
         if self.image_decoder is not None:
             images = {domain: s.observation.image for domain, s in steps.items() if s.observation.image is not None}
             parts["reconstruction"] = reconstruction(self.reconstruct({d: latent[d] for d in images}), images)
@@ -102,6 +99,17 @@ class Alignment(Phase[PortablePolicy]):
             spread = torch.cat(list(latent.values())).detach().std(dim=0).mean()
             self.log_parts(parts | {"loss": total, "latent_std": spread}, self._size(batch))
         return total
+
+    def imitation_terms(self, latent: Parts, steps: Mapping[str, Transitions]) -> dict[str, Tensor]:
+        """What is to be learnt from the demonstrations themselves: their actions.
+
+        Args:
+            latent: Latent states ``(B_d, Z)`` by domain.
+            steps: What they are the states of.
+        """
+        plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
+        action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})
+        return {"bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}, self.bc_reduction)}
 
     def reconstruct(self, latent: Parts) -> dict[str, Tensor]:
         """What the cameras saw, as far as latent states ``(B_d, Z)`` tell: ``(B_d, H, W, C)`` in (0, 1), by domain."""
