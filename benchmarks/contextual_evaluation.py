@@ -33,7 +33,7 @@ def policy_of(maze: PointMaze) -> ContextualPolicy:
     count, rng = len(maze.tasks), np.random.default_rng(0)
     state = rng.normal(size=(count * DEMONSTRATION, domains[0].state_size)).astype(np.float32)
     action = rng.uniform(-1, 1, (len(state), domains[0].action_size)).astype(np.float32)
-    table = build_table(domains[0], state, None, action, np.arange(count + 1) * DEMONSTRATION, np.arange(count))
+    table = build_table(domains[0], state, None, action, np.arange(count + 1) * DEMONSTRATION, *[np.arange(count)] * 2)
     policy.prompts.choose(table, {task: task for task in range(count)})
     return policy.eval()
 
