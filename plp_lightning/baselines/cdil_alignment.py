@@ -187,7 +187,8 @@ class CdilAlignment(CdilPhase):
     def _discrimination(self, role: Role, real: Steps, made: Tensor, of: Steps) -> Tensor:
         pairs = torch.cat([self.policy.pace(*real.states, role), made])
         judged: Tensor = self.discriminators[role](pairs, torch.cat([real.task, of.task]))[:, 0]
-        return real_or_made(*judged.split([len(real.task), len(of.task)]), real.moves, of.moves)
+        count = len(real.task)
+        return real_or_made(judged[:count], judged[count:], real.moves, of.moves)
 
 
 def slowed(epoch: int, epochs: int, slowdown: float) -> float:

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import itertools
+import signal
+from pathlib import Path
+
+import pytest
+import yaml
+from command import ROOT, checkpoint, complaint, dies, plp, results, same, smoke_run, tiny_smoke
+
+from plp_lightning.runs.directory import RunDirectory
+
+OVERLAY = ["--config", str(ROOT / "configs" / "methods" / "cdil.yaml")]
+PHASES = ("positions", "alignment", "dynamics", "adaptation")
+FEW = [word for name in ("positions", "dynamics") for word in (f"--{name}.epochs", "1")]
+STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
+
+
+def words(run_root: Path) -> list[str]:
+    experiment, tiny = tiny_smoke(run_root)[:2], tiny_smoke(run_root)[2:]
+    return [*experiment, *OVERLAY, *tiny, *FEW]
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    root = tmp_path_factory.mktemp("cdil")
+    answer = plp("fit", *words(root))
+    assert answer.code == 0, answer
+    return smoke_run(root, "cdil")
+
+
+def test_a_run_gives_results_and_can_be_tested_again(unbroken: RunDirectory) -> None:
+    found = results(unbroken)
+    assert found["method"] == "cdil"
+    for trial in ("target", "source", "proxy", "proxy_source"):
+        assert (found[trial]["episodes"], found[trial]["invalid"]) == (4, 0)
+    assert 0 <= found["alignment"]["closeness"] <= 1
+    answer = plp("test", unbroken.path)
+    assert answer.code == 0, answer
+
+
+def test_a_phase_changes_the_parts_that_it_trains_and_no_others(unbroken: RunDirectory) -> None:
+    trained = {"alignment": "translator", "dynamics": "inverse_dynamics", "adaptation": "clones"}
+    for before, after in itertools.pairwise(PHASES):
+        one, other = (checkpoint(unbroken, phase)["state_dict"] for phase in (before, after))
+        names = [name for name in other if name.startswith("policy.")]
+        changed = {name.split(".")[1] for name in names if not same(one[name], other[name])}
+        assert changed == {trained[after]}
+
+
+@pytest.mark.parametrize("step", [8, 17])
+def test_a_killed_run_resumes_to_the_same_weights(step: int, unbroken: RunDirectory, tmp_path: Path) -> None:
+    assert dies(["fit", *words(tmp_path)], STEP, step, signal.SIGKILL) == -signal.SIGKILL
+    run = smoke_run(tmp_path, "cdil")
+    answer = plp("fit", "--resume", run.path)
+    assert answer.code == 0, answer
+    for phase in PHASES:
+        ours, theirs = checkpoint(run, phase), checkpoint(unbroken, phase)
+        assert same(ours["state_dict"], theirs["state_dict"]), phase
+        assert same(ours["optimizer_states"], theirs["optimizer_states"]), phase
+    assert results(run) == results(unbroken)
+
+
+def test_the_page_sets_what_it_shares_with_the_method() -> None:
+    page = ["--config", str(ROOT / "configs" / "p2p_umaze.yaml")]
+    printed = yaml.safe_load(plp("fit", *page, *OVERLAY, "--print_config").out)
+    assert printed["policy"]["init_args"]["scaling"] == {"position": 1.0, "velocity": 1.0}
+    assert printed["alignment"]["class_path"].endswith("CdilAlignment")
+    assert printed["adaptation"]["init_args"] == {"epochs": 50, "lr": 5e-4, "weight_decay": 1e-5}
+
+
+def test_a_domain_with_a_camera_is_refused_before_training(tmp_path: Path) -> None:
+    seen = ["--config", str(ROOT / "tests" / "conf" / "seen.yaml")]
+    few = ["--data.trajectories", 3, "--data.target_trajectories", 1]
+    told = complaint("fit", *seen, *OVERLAY, *few, "--data.root", tmp_path, "--run_root", tmp_path)
+    assert "has a camera; choose an experiment without cameras" in told
