@@ -36,7 +36,7 @@ class Prompts(nn.Module):
         self.register_buffer("action", torch.zeros(0, spec.action_size))
         self.register_buffer("image", torch.zeros(0, *(self.camera or ()), dtype=torch.uint8))
         self.register_buffer("offset", torch.zeros(len(tasks) + 1, dtype=torch.int64))
-        self.register_load_state_dict_pre_hook(_make_room)
+        self.register_load_state_dict_pre_hook(_make_room)  # type: ignore[no-untyped-call]
 
     def choose(self, table: Table, episodes: Mapping[int, int]) -> None:
         """Take demonstrations from the source domain's steps.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -173,7 +174,7 @@ class GamaAlignment(KnownStates):
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW with a learning rate for each player."""
         policy = self.policy
-        groups = [
+        groups: list[dict[str, Any]] = [
             {"params": [*policy.state_map.parameters(), *policy.action_map.parameters()]},
             {"params": [*self.discriminator.parameters()], "lr": self.discriminator_lr},
             {"params": [*policy.dynamics.parameters()], "lr": self.dynamics_lr},

@@ -32,8 +32,9 @@ class Packing:
 
     def pad(self, x: Tensor) -> Tensor:
         """``(F, W)`` → ``(P, T, W)``, zeros behind the ends."""
-        padded = x.new_zeros(self.mask.numel(), x.shape[1]).index_copy(0, self.place, x)
-        return padded.unflatten(0, self.mask.shape)
+        rows = x.new_zeros(self.mask.numel(), x.shape[1]).index_copy(0, self.place, x)
+        padded: Tensor = rows.unflatten(0, self.mask.shape)
+        return padded
 
     def pack(self, x: Tensor) -> Tensor:
         """``(P, T, W)`` → ``(F, W)``."""

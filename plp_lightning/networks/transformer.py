@@ -70,7 +70,8 @@ class Attention(nn.Module):
 
     def _split(self, key_value: Tensor) -> Tensor:
         """``(P, T, 2 W)`` → ``(2, P, H, T, W / H)``."""
-        return key_value.unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        heads: Tensor = key_value.unflatten(-1, (2, self.heads, -1))
+        return heads.permute(2, 0, 3, 1, 4)
 
 
 class Past:

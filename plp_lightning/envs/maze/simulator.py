@@ -74,11 +74,13 @@ class PointMaze(Maze):
 
     def states_in_maze(self, states: np.ndarray) -> np.ndarray:
         """See :meth:`Maze.states_in_maze`."""
-        return _planar(states, self._seen.T) / states.dtype.type(self._metre)
+        found: np.ndarray = _planar(states, self._seen.T) / states.dtype.type(self._metre)
+        return found
 
     def states_of_domain(self, states: np.ndarray) -> np.ndarray:
         """See :meth:`Maze.states_of_domain`."""
-        return _planar(states, self._seen) * states.dtype.type(self._metre)
+        seen: np.ndarray = _planar(states, self._seen) * states.dtype.type(self._metre)
+        return seen
 
     def actions_in_maze(self, actions: np.ndarray) -> np.ndarray:
         """See :meth:`Maze.actions_in_maze`."""
