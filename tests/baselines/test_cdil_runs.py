@@ -13,6 +13,8 @@ from plp_lightning.runs.directory import RunDirectory
 OVERLAY = ["--config", str(ROOT / "configs" / "methods" / "cdil.yaml")]
 PHASES = ("positions", "alignment", "dynamics", "adaptation")
 FEW = [word for name in ("positions", "dynamics") for word in (f"--{name}.epochs", "1")]
+MOMENTS = {"first epoch of alignment": 8, "second epoch of alignment": 17, "second epoch of adaptation": 30}
+"""Steps 1 to 6 are positions, 7 to 20 alignment, 21 to 26 dynamics, 27 to 32 adaptation."""
 STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
 
 
@@ -26,7 +28,9 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     root = tmp_path_factory.mktemp("cdil")
     answer = plp("fit", *words(root))
     assert answer.code == 0, answer
-    return smoke_run(root, "cdil")
+    run = smoke_run(root, "cdil")
+    assert [checkpoint(run, phase)["global_step"] for phase in PHASES] == [6, 14, 6, 6]
+    return run
 
 
 def test_a_run_gives_results_and_can_be_tested_again(unbroken: RunDirectory) -> None:
@@ -48,9 +52,9 @@ def test_a_phase_changes_the_parts_that_it_trains_and_no_others(unbroken: RunDir
         assert changed == {trained[after]}
 
 
-@pytest.mark.parametrize("step", [8, 17])
-def test_a_killed_run_resumes_to_the_same_weights(step: int, unbroken: RunDirectory, tmp_path: Path) -> None:
-    assert dies(["fit", *words(tmp_path)], STEP, step, signal.SIGKILL) == -signal.SIGKILL
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_a_killed_run_resumes_to_the_same_weights(moment: str, unbroken: RunDirectory, tmp_path: Path) -> None:
+    assert dies(["fit", *words(tmp_path)], STEP, MOMENTS[moment], signal.SIGKILL) == -signal.SIGKILL
     run = smoke_run(tmp_path, "cdil")
     answer = plp("fit", "--resume", run.path)
     assert answer.code == 0, answer
