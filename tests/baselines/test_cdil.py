@@ -13,7 +13,7 @@ from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch, Demand, DomainSpec, ObservationKey, Transitions
 from plp_lightning.baselines import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions
-from plp_lightning.baselines.cdil_phases import CdilPhase
+from plp_lightning.baselines.cdil.phases import CdilPhase
 from plp_lightning.phases import Phase
 
 PHASES = (CdilPositions, CdilAlignment, CdilDynamics, CdilAdaptation)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from plp_lightning.baselines.cdil_networks import Pace, TaskNetwork, Translator
+from plp_lightning.baselines.cdil.networks import Pace, TaskNetwork, Translator
 
 
 def gradients(loss: Tensor, module: nn.Module) -> float:

@@ -18,8 +18,8 @@ from datamodules.transfer import TransferDataModule
 from datamodules.types import Demand, Observation, Sequences
 from plp_lightning.base_policy import AligningPolicy
 from plp_lightning.baselines import ContextualCloning, ContextualPolicy
-from plp_lightning.baselines.contextual import first_frames, last_frames
-from plp_lightning.baselines.contextual_cloning import prompt_episodes
+from plp_lightning.baselines.contextual.cloning import prompt_episodes
+from plp_lightning.baselines.contextual.policy import first_frames, last_frames
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.losses import behavioural_cloning
 

@@ -14,8 +14,8 @@ from torch.nn import functional
 from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch
-from plp_lightning.baselines.gama import GamaPolicy
-from plp_lightning.baselines.gama_phases import GamaAdaptation, GamaAlignment, GamaPretraining, KnownStates
+from plp_lightning.baselines.gama.phases import GamaAdaptation, GamaAlignment, GamaPretraining, KnownStates
+from plp_lightning.baselines.gama.policy import GamaPolicy
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.phases import Phase
 

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from datamodules.errors import ConfigError
 from datamodules.types import DomainSpec, Observation, ObservationKey
-from plp_lightning.baselines.gama import GamaPolicy
-from plp_lightning.baselines.gama_networks import SpatialEncoder, TargetDynamics, TransitionDiscriminator
+from plp_lightning.baselines.gama.networks import SpatialEncoder, TargetDynamics, TransitionDiscriminator
+from plp_lightning.baselines.gama.policy import GamaPolicy
 
 SOURCE, TARGET = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5)
 TASKS = ("reach", "push", "lift")

@@ -14,8 +14,8 @@ import torch
 from command import ROOT, checkpoint, dies, plp, results, same, smoke_run, tiny_smoke
 from lightning.pytorch import Trainer
 
-from plp_lightning.baselines.gama import GamaPolicy
-from plp_lightning.baselines.gama_phases import GamaAdaptation, GamaAlignment, GamaPretraining
+from plp_lightning.baselines.gama.phases import GamaAdaptation, GamaAlignment, GamaPretraining
+from plp_lightning.baselines.gama.policy import GamaPolicy
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.runs.directory import RunDirectory
@@ -30,10 +30,11 @@ def test_gama_finds_the_map_between_two_planes_and_a_new_task_along_it(
     data = tiny.data_module(trajectory_file)
     torch.manual_seed(0)
     policy = GamaPolicy(data.problem, hidden=64, policy_layers=2, map_layers=2, dynamics_layers=1)
-    make_trainer(epochs=25).fit(GamaPretraining(policy, lr=3e-3), datamodule=data)
+    make_trainer(epochs=20).fit(GamaPretraining(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
     alignment = GamaAlignment(policy, lr=3e-3, discriminator_lr=1e-3, discriminator_hidden=32, lr_schedule="cosine")
     make_trainer(epochs=40).fit(alignment, datamodule=data)
-    make_trainer(epochs=40).fit(GamaAdaptation(policy.requires_grad_(), lr=3e-3), datamodule=data)
+    policy.requires_grad_()
+    make_trainer(epochs=30).fit(GamaAdaptation(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
 
     flat, tall = (domain.simulator for domain in tiny.domains().values())
     assert isinstance(flat, LinearPoint)
@@ -45,13 +46,15 @@ def test_gama_finds_the_map_between_two_planes_and_a_new_task_along_it(
     with torch.no_grad():
         moved = policy.encode({"tall": there})["tall"].numpy()
         wanted = policy.encode({"flat": truth})["flat"].numpy()
-        turned = policy.translate(torch.eye(2), torch.zeros(2, 5)).numpy()
-    assert np.square(moved - wanted).mean() < 0.05 * wanted.var()
-    np.testing.assert_allclose(turned.T, tall.rotation @ flat.rotation.T, atol=0.3)
+        taken = data.tables["flat"].action
+        turned = policy.translate(taken, torch.zeros(len(taken), 5)).numpy()
+    assert np.square(moved - wanted).mean() < 0.2 * wanted.var()
+    rotated = taken.numpy() @ flat.rotation @ tall.rotation.T
+    assert np.square(turned - rotated).mean() < 0.1 * rotated.var()
 
     policy.eval()
     outcome = rollout(tall, policy.actor("tall", [tiny.TARGET] * 20), [tiny.TARGET] * 20, list(range(20)))
-    assert outcome.success.mean() >= 0.8
+    assert outcome.success.mean() >= 0.9
 
 
 def options(folder: Path) -> list[str]:
@@ -74,7 +77,7 @@ def test_it_runs_through_the_command_line_and_is_tested_again(unbroken: RunDirec
     assert 0 <= found["alignment"]["closeness"] <= 1
     answer = plp("test", unbroken.path, "--output", tmp_path / "test.json")
     assert answer.code == 0, answer
-    assert json.loads((tmp_path / "test.json").read_text())["target"]["episodes"] == 4
+    assert json.loads((tmp_path / "test.json").read_text())["trials"]["target"]["episodes"] == 4
 
 
 @pytest.mark.parametrize("step", [8, 20, 27])

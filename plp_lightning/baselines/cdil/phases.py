@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datamodules.types import Batch, Demand, Transitions
-from plp_lightning.baselines.cdil import CdilPolicy
-from plp_lightning.baselines.cdil_networks import Role
+from plp_lightning.baselines.cdil.networks import Role
+from plp_lightning.baselines.cdil.policy import CdilPolicy
 from plp_lightning.losses.translation import weighted_mean
 from plp_lightning.phases import Phase
 

@@ -10,9 +10,9 @@ from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
 from datamodules.types import Batch, Demand, Transitions
-from plp_lightning.baselines.cdil import CdilPolicy
-from plp_lightning.baselines.cdil_networks import OTHER, Role, TaskNetwork
-from plp_lightning.baselines.cdil_phases import CdilPhase, now_and_following
+from plp_lightning.baselines.cdil.networks import OTHER, Role, TaskNetwork
+from plp_lightning.baselines.cdil.phases import CdilPhase, now_and_following
+from plp_lightning.baselines.cdil.policy import CdilPolicy
 from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch, Demand
-from plp_lightning.baselines.contextual import ContextualPolicy, first_frames, last_frames
+from plp_lightning.baselines.contextual.policy import ContextualPolicy, first_frames, last_frames
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.phases.base import Phase, Schedule
 

@@ -16,7 +16,7 @@ from datamodules.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.types import DomainSpec, Observation
 from plp_lightning.base_policy import AligningPolicy, Observations, Parts
-from plp_lightning.baselines.gama_networks import SpatialEncoder, TargetDynamics
+from plp_lightning.baselines.gama.networks import SpatialEncoder, TargetDynamics
 from plp_lightning.networks import ActionDecoder, StateEncoder
 from plp_lightning.scaling import InputScaler
 

@@ -8,7 +8,7 @@ from datamodules.errors import ConfigError
 from datamodules.normalization import Scaling
 from datamodules.problem import TransferProblem
 from plp_lightning.base_policy import AligningPolicy, Observations, Parts
-from plp_lightning.baselines.cdil_networks import Pace, Role, TaskNetwork, Translator
+from plp_lightning.baselines.cdil.networks import Pace, Role, TaskNetwork, Translator
 from plp_lightning.networks import mlp
 from plp_lightning.scaling import InputScaler
 

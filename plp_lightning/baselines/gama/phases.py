@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.types import Batch, Course, Demand, Transitions
-from plp_lightning.baselines.gama import GamaPolicy
-from plp_lightning.baselines.gama_networks import PointDecoder, TransitionDiscriminator
+from plp_lightning.baselines.gama.networks import PointDecoder, TransitionDiscriminator
+from plp_lightning.baselines.gama.policy import GamaPolicy
 from plp_lightning.losses import behavioural_cloning, reconstruction
 from plp_lightning.losses.gama import passing, telling_apart, unexplained_change
 from plp_lightning.phases.base import Phase, Schedule

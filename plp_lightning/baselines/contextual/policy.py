@@ -17,8 +17,8 @@ from datamodules.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.types import Actor, DomainSpec, Observation, Sequences
 from plp_lightning.base_policy import Observations, Parts, Policy
-from plp_lightning.baselines.contextual_frames import FrameEmbedding, Images
-from plp_lightning.baselines.contextual_prompts import Prompts
+from plp_lightning.baselines.contextual.frames import FrameEmbedding, Images
+from plp_lightning.baselines.contextual.prompts import Prompts
 from plp_lightning.networks import Packing, TransformerDecoder, TransformerEncoder
 from plp_lightning.networks.transformer import Cache
 from plp_lightning.scaling import InputScaler
