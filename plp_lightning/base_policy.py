@@ -34,6 +34,11 @@ class Policy(nn.Module, ABC):
         self.tasks = {name: i for i, name in enumerate(problem.tasks)}
 
     @property
+    def cameras(self) -> tuple[str, ...]:
+        """Domains that have one."""
+        return tuple(name for name, spec in self.domains.items() if spec.image_key is not None)
+
+    @property
     def acts_in(self) -> tuple[str, ...]:
         """Domains in which its actions mean something; in the others it is not evaluated."""
         return tuple(self.domains)

@@ -19,6 +19,7 @@ from datamodules.problem import TransferProblem
 from datamodules.types import DomainSpec, Observation
 from plp_lightning.base_policy import AligningPolicy, Observations, Parts
 from plp_lightning.networks import ActionDecoder, CommonPolicy, DomainColumns, ImageEncoder, Sharing, StateEncoder
+from plp_lightning.networks.vision import image_shape, see
 from plp_lightning.scaling import InputScaler
 
 DecoderState = Literal["none", "proprioception", "all"] | list[str]
@@ -92,7 +93,7 @@ class PortablePolicy(AligningPolicy):
         super().__init__(problem, architecture)
         domains, tasks = problem.domains, problem.tasks
         self.latent_size = latent
-        self.image_shape = _image_shape(domains) if image_channels else None
+        self.image_shape = image_shape(domains) if image_channels else None
         self.image_features = 0 if self.image_shape is None else image_features
         self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
         self.context_columns = {spec.name: _context_columns(spec, decoder_state) for spec in domains}
@@ -112,7 +113,7 @@ class PortablePolicy(AligningPolicy):
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
         inputs = self.states.join({d: self.scaler(obs.state, d) for d, obs in observation.items()})
         if self.image_encoder is not None:
-            inputs = torch.cat([inputs, self._see(self.image_encoder, observation)], dim=1)
+            inputs = torch.cat([inputs, see(self.image_encoder, observation, self.cameras)], dim=1)
         return _split(self.encoder(inputs), observation)
 
     def decode(self, plan: Parts, observation: Observations) -> dict[str, Tensor]:
@@ -137,18 +138,6 @@ class PortablePolicy(AligningPolicy):
         """The actions of :meth:`forward`."""
         return self.forward(observation, task).action
 
-    def _see(self, encoder: ImageEncoder, observation: Observations) -> Tensor:
-        """Features ``(B, F)`` of all domains' images in one pass; zeros where there is no camera."""
-        images = {domain: obs.image for domain, obs in observation.items() if obs.image is not None}
-        cameras = [domain for domain in observation if self.domains[domain].image_key is not None]
-        assert cameras == [*images], f"images of {[*images]}, but cameras in {cameras}"
-        blank = {d: obs.state.new_zeros(len(obs.state), self.image_features) for d, obs in observation.items()}
-        if not images:
-            return torch.cat([*blank.values()])
-        sizes = [len(image) for image in images.values()]
-        features = encoder(torch.cat([*images.values()]))
-        return torch.cat([*(blank | dict(zip(images, features.split(sizes), strict=True))).values()])
-
     def _context(self, observation: Observation[Tensor], domain: str) -> Tensor:
         columns = self.context_columns[domain]
         if not columns:
@@ -171,11 +160,3 @@ def _context_columns(spec: DomainSpec, decoder_state: DecoderState) -> list[int]
         known = "'none', 'all' or a list of observation keys, or 'proprioception'"
         raise ConfigError(f"decoder_state is {decoder_state!r}; expected {known}")
     return spec.columns(decoder_state)
-
-
-def _image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
-    """Height, width and colours of the images, or None if no domain has a camera."""
-    shapes = {spec.name: spec.image_key.shape for spec in domains if spec.image_key is not None}
-    if len(set(shapes.values())) > 1:
-        raise ConfigError(f"image shapes are {shapes}; expected one shape for all domains: set one image size")
-    return next(((h, w, c) for h, w, c in shapes.values()), None)

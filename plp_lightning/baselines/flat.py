@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
-from datamodules.errors import ConfigError
 from datamodules.normalization import Scaling
 from datamodules.problem import TransferProblem
-from datamodules.types import Batch, Demand, DomainSpec, Observation
+from datamodules.types import Batch, Demand
 from plp_lightning.base_policy import Observations, Parts, Policy
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoder, Sharing
+from plp_lightning.networks.vision import image_shape, see
 from plp_lightning.phases.base import Phase, Schedule
 from plp_lightning.scaling import InputScaler
 
@@ -67,7 +67,7 @@ class FlatPolicy(Policy):
         self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
         self.states = DomainColumns({spec.name: spec.state_size for spec in domains}, columns)
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
-        shape = _image_shape(domains) if image_channels else None
+        shape = image_shape(domains) if image_channels else None
         self.image_encoder = None if shape is None else ImageEncoder(shape, image_channels, image_features)
         seen = self.states.width + len(domains) + (0 if shape is None else image_features)
         self.net = ActionDecoder(len(problem.tasks), seen, self.actions.width, hidden, layers, gradient_floor)
@@ -75,10 +75,11 @@ class FlatPolicy(Policy):
     def decide(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
         """π(s, d, k): actions ``(B_d, A_d)`` by domain, in one pass for all of them."""
         state = self.states.join({d: self.scaler(obs.state, d) for d, obs in observation.items()})
-        image = torch.cat([*_see(self.image_encoder, observation).values()])
+        if self.image_encoder is not None:
+            state = torch.cat([state, see(self.image_encoder, observation, self.cameras)], dim=1)
         wanted = torch.cat([task[domain] for domain in observation])
         one_hot = nn.functional.one_hot(wanted, len(self.tasks)).to(state.dtype)
-        joined = self.net(one_hot, torch.cat([state, image], dim=1))
+        joined = self.net(one_hot, state)
         parts = joined.split([len(obs.state) for obs in observation.values()])
         return {d: self.actions.take(part, d) for d, part in zip(observation, parts, strict=True)}
 
@@ -144,27 +145,3 @@ class FlatAdaptation(FlatCloning):
         lr_schedule: Schedule = "constant",
     ) -> None:
         super().__init__(policy, bc_reduction, epochs, lr, weight_decay, lr_schedule)
-
-
-def _image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
-    """Height, width and colours of the images, or None if no domain has a camera."""
-    shapes = {spec.name: spec.image_key.shape for spec in domains if spec.image_key is not None}
-    if len(set(shapes.values())) > 1:
-        raise ConfigError(f"image shapes are {shapes}; expected one shape for all domains: set one image size")
-    return next(((h, w, c) for h, w, c in shapes.values()), None)
-
-
-def _see(encoder: ImageEncoder | None, observation: Mapping[str, Observation[Tensor]]) -> dict[str, Tensor]:
-    """Features ``(B_d, F)`` of all domains' images, by domain.
-
-    Args:
-        encoder: Makes F features of an image; without one nothing is seen and F is 0.
-        observation: By domain, images ``(B_d, H, W, C)`` uint8 or None.
-    """
-    size = 0 if encoder is None else encoder.linear.out_features
-    blank = {domain: obs.state.new_zeros(len(obs.state), size) for domain, obs in observation.items()}
-    images = {domain: obs.image for domain, obs in observation.items() if obs.image is not None}
-    if encoder is None or not images:
-        return blank
-    features = encoder(torch.cat([*images.values()]))
-    return blank | dict(zip(images, features.split([len(image) for image in images.values()]), strict=True))

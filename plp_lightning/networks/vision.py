@@ -6,13 +6,14 @@ Outside of these modules images are ``(B, H, W, C)``, as cameras and files have 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
+from datamodules.types import DomainSpec, Observation
 
 KERNEL, STRIDE, PADDING = 3, 2, 1
 UNTRAINED_BYTES = 64 * 2**20
@@ -144,3 +145,35 @@ def _area(sides: tuple[int, int]) -> int:
 def _check_sizes(channels: Sequence[int], features: int) -> None:
     if min(*channels, features) < 1:
         raise ConfigError(f"image_channels is {list(channels)}, image_features {features}; expected at least 1 each")
+
+
+def image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
+    """Height, width and colours of the domains' images, or None if no domain has a camera.
+
+    Raises:
+        ConfigError: If the domains' images differ in shape.
+    """
+    shapes = {spec.name: spec.image_key.shape for spec in domains if spec.image_key is not None}
+    if len(set(shapes.values())) > 1:
+        raise ConfigError(f"image shapes are {shapes}; expected one shape for all domains: set one image size")
+    return next(((h, w, c) for h, w, c in shapes.values()), None)
+
+
+def see(encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]], cameras: Collection[str]) -> Tensor:
+    """Features ``(B, F)`` of all domains' images, domain after domain, in one pass; zeros where there is no camera.
+
+    Args:
+        encoder: Makes F features of an image.
+        observation: By domain, images ``(B_d, H, W, C)`` uint8 or None.
+        cameras: Domains that have one.
+    """
+    size = encoder.linear.out_features
+    blank = {domain: obs.state.new_zeros(len(obs.state), size) for domain, obs in observation.items()}
+    images = {domain: obs.image for domain, obs in observation.items() if obs.image is not None}
+    expected = [domain for domain in observation if domain in cameras]
+    assert expected == [*images], f"images of {[*images]}, but cameras in {expected}"
+    if not images:
+        return torch.cat([*blank.values()])
+    features = encoder(torch.cat([*images.values()]))
+    found = dict(zip(images, features.split([len(image) for image in images.values()]), strict=True))
+    return torch.cat([*(blank | found).values()])
