@@ -47,8 +47,9 @@ class CdilAlignment(CdilPhase):
 
     Discriminators look at two states that follow each other and at the task, so that what is translated has to move
     like the other domain. The target task has demonstrations in the source domain alone: they take part in the terms
-    that need no counterpart, the two cycles ("inference-time adaptation"). No coefficient of the authors is known;
-    those of the cycle and the least-squares loss are CycleGAN's, all others are 1, see ``docs/methods/cdil.md``.
+    that need no counterpart, the two cycles ("inference-time adaptation"). No coefficient of the authors is known; the
+    cycle's is CycleGAN's, those of the adversarial loss and of the noise were chosen on the first goal of P2P-umaze,
+    see ``docs/methods/cdil.md``.
 
     Args:
         policy: The policy with trained position models.
@@ -56,6 +57,9 @@ class CdilAlignment(CdilPhase):
         cycle_weight: Of the cycle x → y → x, and its mirror image.
         latent_weight: Of the latent cycle.
         position_weight: Of the consistency of temporal positions.
+        noise: Deviation of Gaussian noise on what discriminators see, real or not. Two states that follow each other
+            obey the physics to the last digit, and translated ones never do: without noise that gives them away, and
+            the discriminators have nothing to teach.
         discriminator_layers: Hidden layers of each discriminator.
         discriminator_hidden: Units in its hidden layers.
         discriminator_lr: Learning rate of the discriminators; None is ``lr``.
@@ -74,10 +78,11 @@ class CdilAlignment(CdilPhase):
     def __init__(
         self,
         policy: CdilPolicy,
-        adversarial_weight: float = 1.0,
+        adversarial_weight: float = 10.0,
         cycle_weight: float = 10.0,
         latent_weight: float = 1.0,
         position_weight: float = 1.0,
+        noise: float = 0.1,
         discriminator_layers: int = 3,
         discriminator_hidden: int = 192,
         discriminator_lr: float | None = None,
@@ -98,7 +103,7 @@ class CdilAlignment(CdilPhase):
             "discriminator": 1.0,
         }
         self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
-        self.first_moment, self.slowdown = first_moment, slowdown
+        self.first_moment, self.slowdown, self.noise = first_moment, slowdown, noise
         sizes = {role: policy.domains[domain].state_size for domain, role in policy.roles.items()}
         tasks, hidden, layers = len(policy.tasks), discriminator_hidden, discriminator_layers
         self.discriminators = nn.ModuleDict(
@@ -167,13 +172,19 @@ class CdilAlignment(CdilPhase):
     def _contest(self, steps: Mapping[Role, Steps], trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
         """What the translator and the discriminators lose, in each domain that is translated into."""
         for role, trip in trips.items():
-            other, own = OTHER[role], steps[role]
-            made = self.policy.pace(*trip.abroad, other)
-            fooled = self._judge(other).judge(made, own.task)[:, 0]
+            own, real = steps[role], steps[OTHER[role]]
+            judge, made = self._judge(OTHER[role]), self.policy.pace(*trip.abroad, OTHER[role])
+            pairs = torch.cat([self.policy.pace(*real.states, OTHER[role]), made.detach()])
+            judged = judge(self._blur(pairs), torch.cat([real.task, own.task]))[:, 0]
+            count = len(real.task)
             yield {
-                "adversarial": passing_for_real(fooled, own.moves),
-                "discriminator": self._discrimination(other, steps[other], made.detach(), own),
+                "adversarial": passing_for_real(judge.judge(self._blur(made), own.task)[:, 0], own.moves),
+                "discriminator": real_or_made(judged[:count], judged[count:], real.moves, own.moves),
             }
+
+    def _blur(self, pairs: Tensor) -> Tensor:
+        """Instance noise: "Amortised MAP Inference for Image Super-resolution" (https://arxiv.org/abs/1610.04490)."""
+        return pairs + self.noise * torch.randn_like(pairs)
 
     def _judge(self, role: Role) -> TaskNetwork:
         judge = self.discriminators[role]
@@ -183,12 +194,6 @@ class CdilAlignment(CdilPhase):
     def _position_gap(self, own: Steps, trip: RoundTrip, role: Role) -> Tensor:
         here = self.policy.position(own.states[0], own.task, role).detach()
         return position_gap(here, self.policy.position(trip.abroad[0], own.task, OTHER[role]), own.shared)
-
-    def _discrimination(self, role: Role, real: Steps, made: Tensor, of: Steps) -> Tensor:
-        pairs = torch.cat([self.policy.pace(*real.states, role), made])
-        judged: Tensor = self.discriminators[role](pairs, torch.cat([real.task, of.task]))[:, 0]
-        count = len(real.task)
-        return real_or_made(judged[:count], judged[count:], real.moves, of.moves)
 
 
 def slowed(epoch: int, epochs: int, slowdown: float) -> float:

@@ -11,8 +11,10 @@ from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Batch, Demand, DomainSpec, ObservationKey, Transitions
+from datamodules.types import Batch, Demand, Transitions
 from plp_lightning.baselines import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions
+from plp_lightning.baselines.cdil.alignment import slowed
+from plp_lightning.baselines.cdil.networks import TaskNetwork
 from plp_lightning.baselines.cdil.phases import CdilPhase
 from plp_lightning.phases import Phase
 
@@ -56,54 +58,6 @@ def first_batch(data: TransferDataModule, demand: Demand) -> Batch:
 def gradients(loss: Tensor, module: nn.Module) -> float:
     found = torch.autograd.grad(loss, [*module.parameters()], retain_graph=True, allow_unused=True)
     return sum(float(g.abs().sum()) for g in found if g is not None)
-
-
-# -- policy -----------------------------------------------------------------------------------------
-
-
-def test_encode_brings_all_states_into_the_scaled_target_space(data: TransferDataModule, policy: CdilPolicy) -> None:
-    seen = {domain: tiny.observe(table.observation.state[:7].numpy()) for domain, table in data.tables.items()}
-    found = policy.encode(seen)
-    assert {domain: tuple(z.shape) for domain, z in found.items()} == {"flat": (7, 5), "tall": (7, 5)}
-    assert torch.equal(found["tall"], policy.scaler(seen["tall"].state, "tall"))
-    assert torch.equal(found["flat"], policy.translate(policy.scaler(seen["flat"].state, "flat")))
-
-
-def test_each_domain_acts_with_a_clone_of_its_own(data: TransferDataModule, policy: CdilPolicy) -> None:
-    state, tasks = data.tables["tall"].observation.state[:3].numpy(), [tiny.TARGET, "goal_0", tiny.TARGET]
-    before = policy.act(tiny.observe(state), "tall", tasks)  # type: ignore[arg-type]
-    assert before.shape == (3, 2)
-    assert np.abs(before).max() < 1
-    with torch.no_grad():
-        policy.clones["source"].net[0].bias += 1  # type: ignore[union-attr, index, operator]
-    np.testing.assert_array_equal(policy.act(tiny.observe(state), "tall", tasks), before)  # type: ignore[arg-type]
-
-
-def test_source_and_target_are_those_of_the_problem_not_the_first_and_the_last(data: TransferDataModule) -> None:
-    problem = data.problem
-    turned = type(problem)(problem.domains, problem.tasks, "tall", "flat", problem.statistics)
-    policy = CdilPolicy(turned, latent=4, hidden=8, encoder_layers=1, policy_layers=1, decoder_layers=1)
-    assert policy.encode({"tall": tiny.observe(np.zeros((2, 5)))})["tall"].shape == (2, 3)
-
-
-def test_the_architecture_rebuilds_the_policy(policy: CdilPolicy) -> None:
-    again = CdilPolicy(type(policy.problem).from_dict(policy.problem.to_dict()), **policy.architecture)
-    again.load_state_dict(policy.state_dict())
-
-
-def test_three_domains_are_refused() -> None:
-    specs = [tiny.spec(name, 3, 2) for name in ("one", "two", "three")]
-    with pytest.raises(ConfigError, match=r"between two domains, found 3 \(one, two, three\); leave two"):
-        CdilPolicy(tiny.problem(specs, ["a"]))
-
-
-def test_cameras_are_refused() -> None:
-    seeing = DomainSpec("eye", (ObservationKey("a", (2,)), ObservationKey("c", (8, 8, 3), "image")), 2, 10.0)
-    with pytest.raises(ConfigError, match="domain 'eye' has a camera; choose an experiment without cameras"):
-        CdilPolicy(tiny.problem([tiny.spec("blind", 3, 2), seeing], ["a"]))
-
-
-# -- phases -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", PHASES, ids=lambda kind: kind.__name__)
@@ -171,7 +125,7 @@ def moved(steps: Transitions, rows: Tensor) -> Transitions:
 def test_the_target_task_takes_part_in_both_cycles_and_in_nothing_else(
     data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    phase = CdilAlignment(policy, discriminator_hidden=8, discriminator_layers=1)
+    phase = CdilAlignment(policy, noise=0.0, discriminator_hidden=8, discriminator_layers=1)
     begin(phase, data, monkeypatch)
     batch = first_batch(data, phase.demand)
     rows = of_task(batch, policy, "flat", [tiny.TARGET])
@@ -197,15 +151,54 @@ def test_weights_scale_their_terms(
     data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     torch.manual_seed(0)
-    plain = CdilAlignment(policy, 1.0, 1.0, 1.0, 1.0)
+    plain = CdilAlignment(policy, 1.0, 1.0, 1.0, 1.0, noise=0.0)
     torch.manual_seed(0)
-    heavy = CdilAlignment(policy, 2.0, 3.0, 5.0, 7.0)
+    heavy = CdilAlignment(policy, 2.0, 3.0, 5.0, 7.0, noise=0.0)
     begin(plain, data, monkeypatch)
     begin(heavy, data, monkeypatch)
     batch = first_batch(data, plain.demand)
     ratios = {name: heavy.losses(batch)[name] / value for name, value in plain.losses(batch).items()}
     expected = {"adversarial": 2.0, "cycle": 3.0, "latent": 5.0, "position": 7.0, "discriminator": 1.0}
     assert {name: pytest.approx(value.item()) for name, value in ratios.items()} == expected
+
+
+def test_discriminators_see_all_pairs_through_noise(
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Tensor] = []
+
+    def forward(network: TaskNetwork, x: Tensor, task: Tensor) -> Tensor:
+        seen.append(x)
+        return x[:, :1]
+
+    monkeypatch.setattr(TaskNetwork, "forward", forward)
+    sharp, blurred = (CdilAlignment(policy, noise=noise) for noise in (0.0, 0.5))
+    begin(sharp, data, monkeypatch)
+    begin(blurred, data, monkeypatch)
+    batch = first_batch(data, sharp.demand)
+    sharp.losses(batch)
+    count = len(seen)
+    blurred.losses(batch)
+    added = [(b - a).detach() for a, b in zip(seen[:count], seen[count:], strict=True)]
+    by_width: dict[int, Tensor] = {}
+    for difference in added:
+        width = difference.shape[1]
+        by_width[width] = torch.cat([by_width.get(width, difference[:0]), difference])
+    assert {width: round(float(x.std()), 1) for width, x in by_width.items()} == {3: 0.0, 5: 0.0, 6: 0.5, 10: 0.5}
+    assert all(abs(float(x.mean())) < 0.05 for x in by_width.values())
+
+
+@pytest.mark.parametrize(
+    ("epoch", "slowdown", "share"),
+    [(0, 0.5, 1.0), (5, 0.5, 1.0), (6, 0.5, 0.8), (9, 0.5, 0.2), (9, 0.0, 1.0), (9, 1.0, 0.1)],
+)
+def test_rates_fall_in_a_line_that_meets_0_after_the_last_epoch(epoch: int, slowdown: float, share: float) -> None:
+    assert slowed(epoch, 10, slowdown) == pytest.approx(share)
+
+
+def test_a_share_above_1_is_refused(policy: CdilPolicy) -> None:
+    with pytest.raises(ConfigError, match=r"alignment.slowdown is 1.5; expected a share from 0 to 1"):
+        CdilAlignment(policy, slowdown=1.5)
 
 
 def test_one_optimiser_holds_both_players_with_a_rate_of_each(policy: CdilPolicy) -> None:
