@@ -60,7 +60,7 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--alignment.epochs 0", "--alignment.init_args.epochs is 0; expected at least 1"),
         ("--alignment.lr -1", "--alignment.init_args.lr is -1.0; expected at least 0"),
         ("--alignment.lr .nan", "--alignment.init_args.lr is nan; expected at least 0"),
-        ("--phases [alignmnt]", "unknown key 'alignment.init_args"),
+        ("--phases [alignmnt]", "phases names 'alignmnt', which nothing sets up; set alignmnt.class_path, or name: "),
         ("--phases [a", "phases is '[a'; expected a list of names"),
         ("--seed -1", "--seed is -1; expected at least 0"),
         ("--threads 0", "--threads is 0; expected at least 1"),

@@ -128,6 +128,7 @@ def build(parser: ArgumentParser, config: Namespace, phases: Sequence[str]) -> E
         phases: Phases that are keys of it; those that the method leaves out are dropped.
     """
     config.experiment = config.experiment or _experiment_name(config)
+    _check_phases(config, phases)
     for name in {*phases} - {*config.phases}:
         del config[name]
     check_numbers(dict(config.items()), config.phases)
@@ -171,6 +172,14 @@ def _data(made: Namespace) -> TransferDataModule:
         collector=ExpertCollector(made.domains, made.collection),
         **settings,
     )
+
+
+def _check_phases(config: Namespace, phases: Sequence[str]) -> None:
+    known = [name for name in phases if config[name] is not None]
+    unknown = [name for name in config.phases if name not in known]
+    if unknown:
+        name, choice = unknown[0], ", ".join(known)
+        raise ConfigError(f"phases names {name!r}, which nothing sets up; set {name}.class_path, or name: {choice}")
 
 
 def _experiment_name(config: Namespace) -> str:
