@@ -14,6 +14,7 @@ import torch
 from command import ROOT, checkpoint, dies, plp, results, same, smoke_run, tiny_smoke
 from lightning.pytorch import Trainer
 
+from datamodules.hdf5 import write_trajectories
 from plp_lightning.baselines.gama.phases import GamaAdaptation, GamaAlignment, GamaPretraining
 from plp_lightning.baselines.gama.policy import GamaPolicy
 from plp_lightning.envs.rollout import rollout
@@ -25,16 +26,18 @@ STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
 
 
 def test_gama_finds_the_map_between_two_planes_and_a_new_task_along_it(
-    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+    tmp_path: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
-    data = tiny.data_module(trajectory_file)
+    specs = [domain.simulator.spec(name) for name, domain in tiny.domains().items()]
+    write_trajectories(tmp_path / "many.hdf5", specs, tiny.TASKS, tiny.demonstrations(12), {"command": "tests"})
+    data = tiny.data_module(tmp_path / "many.hdf5", trajectories=84, target_trajectories=12)
     torch.manual_seed(0)
     policy = GamaPolicy(data.problem, hidden=64, policy_layers=2, map_layers=2, dynamics_layers=1)
-    make_trainer(epochs=20).fit(GamaPretraining(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
+    make_trainer(epochs=6).fit(GamaPretraining(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
     alignment = GamaAlignment(policy, lr=3e-3, discriminator_lr=1e-3, discriminator_hidden=32, lr_schedule="cosine")
-    make_trainer(epochs=40).fit(alignment, datamodule=data)
+    make_trainer(epochs=14).fit(alignment, datamodule=data)
     policy.requires_grad_()
-    make_trainer(epochs=30).fit(GamaAdaptation(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
+    make_trainer(epochs=10).fit(GamaAdaptation(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
 
     flat, tall = (domain.simulator for domain in tiny.domains().values())
     assert isinstance(flat, LinearPoint)
@@ -48,9 +51,9 @@ def test_gama_finds_the_map_between_two_planes_and_a_new_task_along_it(
         wanted = policy.encode({"flat": truth})["flat"].numpy()
         taken = data.tables["flat"].action
         turned = policy.translate(taken, torch.zeros(len(taken), 5)).numpy()
-    assert np.square(moved - wanted).mean() < 0.2 * wanted.var()
+    assert np.square(moved - wanted).mean() < 0.1 * wanted.var()
     rotated = taken.numpy() @ flat.rotation @ tall.rotation.T
-    assert np.square(turned - rotated).mean() < 0.1 * rotated.var()
+    assert np.square(turned - rotated).mean() < 0.15 * rotated.var()
 
     policy.eval()
     outcome = rollout(tall, policy.actor("tall", [tiny.TARGET] * 20), [tiny.TARGET] * 20, list(range(20)))
