@@ -16,6 +16,7 @@ VERBS = {
     "validate": ("plp_lightning.verbs.experiments:run_validate", "held-out losses and alignment scores of a run"),
     "test": ("plp_lightning.verbs.experiments:run_test", "success rates of a run in the simulators"),
     "predict": ("plp_lightning.verbs.experiments:run_predict", "actions of a run's policy on held-out trajectories"),
+    "report": ("plp_lightning.verbs.report:run_report", "success rates of many runs beside the paper's"),
     "data": ("plp_lightning.verbs.data:run_data", "inspect, validate or import trajectory files"),
     "doctor": ("plp_lightning.verbs.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
 }

@@ -37,6 +37,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.policy": WORDS | POLICY,
     "plp_lightning.phases": {"datamodules", "plp_lightning.losses"} | POLICY,
     "plp_lightning.baselines": {"datamodules", "plp_lightning.losses", "plp_lightning.phases"} | POLICY,
+    "plp_lightning.report": {"datamodules.errors"},
     "plp_lightning.runs.metrics_file": {"datamodules"},
     "plp_lightning.runs.directory": {"datamodules"},
     "plp_lightning.evaluation": {"datamodules", "plp_lightning.envs"} | POLICY | LEAVES,

@@ -1,0 +1,1 @@
+"""REPORT: what runs found, from their results.json alone, beside the paper's values; needs no torch."""

@@ -1,0 +1,114 @@
+"""Records → Markdown and CSV: methods side by side, and every run."""
+
+from __future__ import annotations
+
+import csv
+import io
+import statistics
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import yaml
+
+from plp_lightning.report.records import COLUMNS, Record
+
+Paper = Mapping[str, Mapping[str, tuple[float, float]]]
+"""Mean and standard deviation by experiment and method."""
+
+
+@cache
+def paper_values() -> Paper:
+    """Success rates that the paper reports, in the order in which its tables are read."""
+    text = (Path(__file__).parent / "paper.yaml").read_text(encoding="utf-8")
+    return {
+        experiment: {method: (mean, deviation) for method, (mean, deviation) in methods.items()}
+        for experiment, methods in yaml.safe_load(text).items()
+    }
+
+
+def markdown(records: Sequence[Record]) -> str:
+    """The report: a table of methods, mean over their runs, and a table of runs."""
+    ordered = sorted(records, key=lambda record: (*_rank(record), record.target, record.seed))
+    return "\n".join(
+        [
+            "# Success rates",
+            "",
+            "Target task in the target domain, mean ± standard deviation over runs.",
+            "",
+            *_rows(["experiment", "method", "runs", "success", "before adaptation", "the paper"], _methods(ordered)),
+            "",
+            "## Runs",
+            "",
+            "Success with its 95 % interval; alignment scores on proxy tasks.",
+            "",
+            *_rows(
+                ["experiment", "method", "target", "seed", "success", "before", "source", "proxies", "alignment"],
+                [_run(record) for record in ordered],
+            ),
+            "",
+        ]
+    )
+
+
+def comma_separated(records: Sequence[Record]) -> str:
+    """A line a run; columns are the fields of :class:`Record`, and each alignment score is one."""
+    scores = sorted({name for record in records for name in record.alignment})
+    plain = [name for name in COLUMNS if name != "alignment"]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*plain, *scores])
+    for record in sorted(records, key=lambda record: (*_rank(record), record.target, record.seed)):
+        cells = [getattr(record, name) for name in plain]
+        writer.writerow(cells + [record.alignment.get(name) for name in scores])
+    return text.getvalue()
+
+
+def _rank(record: Record) -> tuple[int, str, int, str]:
+    """Order of the paper; what it doesn't know comes last, by name."""
+    experiments = list(paper_values())
+    methods = list(paper_values().get(record.experiment, {}))
+    return (*_place(record.experiment, experiments), *_place(record.method, methods))
+
+
+def _place(name: str, order: Sequence[str]) -> tuple[int, str]:
+    return (order.index(name) if name in order else len(order), name)
+
+
+def _methods(ordered: Sequence[Record]) -> list[list[str]]:
+    groups: dict[tuple[str, str], list[Record]] = defaultdict(list)
+    for record in ordered:
+        groups[record.experiment, record.method].append(record)
+    rows = []
+    for (experiment, method), group in groups.items():
+        paper = paper_values().get(experiment, {}).get(method)
+        before = [record.before for record in group if record.before is not None]
+        success = _spread([record.success for record in group])
+        rows.append([experiment, method, str(len(group)), success, _spread(before), _pair(paper)])
+    return rows
+
+
+def _spread(rates: Sequence[float]) -> str:
+    if len(rates) > 1:
+        return _pair((statistics.mean(rates), statistics.stdev(rates)))
+    return _rate(rates[0] if rates else None)
+
+
+def _pair(values: tuple[float, float] | None) -> str:
+    return "–" if values is None else f"{values[0]:.2f} ± {values[1]:.2f}"
+
+
+def _rate(rate: float | None) -> str:
+    return "–" if rate is None else f"{rate:.2f}"
+
+
+def _run(record: Record) -> list[str]:
+    success = f"{record.success:.2f} ({record.low:.2f} – {record.high:.2f})"
+    others = [_rate(rate) for rate in (record.before, record.source, record.proxy)]
+    scores = ", ".join(f"{name} {value:.2f}" for name, value in record.alignment.items())
+    return [record.experiment, record.method, record.target, str(record.seed), success, *others, scores or "–"]
+
+
+def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *rows)]

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import csv
+import io
+
+import pytest
+from command import METHODS, ROOT, complaint, plp
+
+from plp_lightning.report.records import Record, read_records
+from plp_lightning.report.tables import comma_separated, markdown, paper_values
+
+PAGES = {path.stem for path in (ROOT / "configs").glob("*.yaml")}
+
+
+def record(method="plp", seed=0, success=0.5, experiment="r2r", target="x0y0h0", alignment=None):
+    return Record(
+        experiment, method, target, seed, success, 0.25, 0.75, 0.0, None, 1.0, alignment or {"closeness": 0.5}, 60.0
+    )
+
+
+def test_methods_stand_side_by_side_in_the_paper_s_order():
+    lines = markdown(
+        [record("bc"), record("mine"), record(success=0.75), record(success=1.0, seed=1), record(experiment="new")]
+    ).splitlines()
+    table = [line for line in lines if line.startswith("| ")]
+    assert table[2:6] == [
+        "| r2r | plp | 2 | 0.88 ± 0.18 | 0.00 ± 0.00 | 0.63 ± 0.37 |",
+        "| r2r | bc | 1 | 0.50 | 0.00 | 0.22 ± 0.40 |",
+        "| r2r | mine | 1 | 0.50 | 0.00 | – |",
+        "| new | plp | 1 | 0.50 | 0.00 | – |",
+    ]
+    assert "| r2r | plp | x0y0h0 | 0 | 0.75 (0.25 – 0.75) | 0.00 | – | 1.00 | closeness 0.50 |" in table
+
+
+def test_csv_has_a_line_a_run_and_a_column_a_score():
+    text = comma_separated([record(alignment={"top1": 0.25, "top5": 0.5}), record(seed=1)])
+    first, second = csv.DictReader(io.StringIO(text))
+    assert (first["top5"], first["closeness"], second["top5"], second["closeness"]) == ("0.5", "", "", "0.5")
+    assert (first["target"], first["success"], first["source"], first["seconds"]) == ("x0y0h0", "0.5", "", "60.0")
+
+
+def test_the_paper_s_values_name_pages_and_overlays():
+    methods = {path.stem for path in METHODS}
+    assert set(paper_values()) == PAGES - {"base", "smoke"}
+    for values in paper_values().values():
+        assert set(values) <= methods
+        assert all(0 <= mean <= 1 and 0 <= deviation <= 0.5 for mean, deviation in values.values())
+
+
+def test_the_report_of_the_kept_results_is_current(tmp_path):
+    results = ROOT / "docs" / "results"
+    answer = plp("report", results, "--out", tmp_path)
+    assert answer.code == 0, answer
+    for name in ("report.md", "report.csv"):
+        assert (tmp_path / name).read_text() == (results / name).read_text(), f"plp report {results} --out {results}"
+    assert plp("report", results).out == (results / "report.md").read_text()
+
+
+@pytest.mark.parametrize("record", read_records([ROOT / "docs" / "results"]), ids=lambda r: f"{r.method}-{r.target}")
+def test_kept_results_lie_where_their_names_say(record):
+    assert (ROOT / "docs" / "results" / record.experiment / record.method / f"{record.target}.json").is_file()
+
+
+def test_mistakes_are_one_line(tmp_path):
+    assert "no such file or folder" in complaint("report", tmp_path / "runs")
+    assert "see plp report --help" in complaint("report")
