@@ -61,7 +61,7 @@ def test_a_damaged_file_is_named(tmp_path, content, message):
 
 
 def test_nothing_to_report_is_told(tmp_path):
-    with pytest.raises(ConfigError, match="found no results.json below it"):
+    with pytest.raises(ConfigError, match=r"found no results\.json below it"):
         read_records([tmp_path])
     with pytest.raises(ConfigError, match="no such file or folder"):
         read_records([tmp_path / "runs"])
