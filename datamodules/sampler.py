@@ -18,7 +18,7 @@ def generator(*key: int) -> np.random.Generator:
 
 def shuffled(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """``count`` of ``rows``, each once before any comes again."""
-    rounds = -(-count // len(rows))
+    rounds = max(1, -(-count // len(rows)))
     drawn: np.ndarray = np.concatenate([rng.permutation(rows) for _ in range(rounds)])[:count]
     return drawn
 
@@ -48,6 +48,60 @@ class AlignmentOrder:
         }
         chunks = {domain: rows.reshape(self.steps, self.share) for domain, rows in drawn.items()}
         return [{domain: rows[step] for domain, rows in chunks.items()} for step in range(self.steps)]
+
+
+class TaskwiseOrder(AlignmentOrder):
+    """Alignment steps whose batches hold the same few tasks in every domain, so that losses compare like with like.
+
+    A task comes as often as its share of the demonstrations, at most once in a batch.
+
+    Args:
+        rows: Rows to draw from, by domain.
+        tasks: Task of each of these rows, by domain. In a domain without a task's rows any row may take their place.
+        tasks_per_batch: So many tasks in a batch; all of them if there are fewer.
+        batch_size: Steps in a batch, all domains together.
+        seed: Seed of the run.
+    """
+
+    def __init__(
+        self,
+        rows: Mapping[str, np.ndarray],
+        tasks: Mapping[str, np.ndarray],
+        tasks_per_batch: int,
+        batch_size: int,
+        seed: int,
+    ) -> None:
+        super().__init__(rows, batch_size, seed)
+        self.known = np.unique(np.concatenate([*tasks.values()]))
+        self.tasks_per_batch = min(tasks_per_batch, len(self.known))
+        shares = [np.mean(tasks[domain][:, None] == self.known, axis=0) for domain in rows]
+        self.logits = np.log(np.mean(shares, axis=0))
+        self.rows_of = {
+            d: [r[tasks[d] == task] if task in tasks[d] else r for task in self.known] for d, r in rows.items()
+        }
+
+    def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
+        """Rows ``(share,)`` by domain, for each step of the epoch."""
+        slots = self._slots(generator(ALIGNMENT, self.seed, epoch))
+        chunks = {
+            domain: self._draw(slots, pools, generator(ALIGNMENT, self.seed, epoch, i))
+            for i, (domain, pools) in enumerate(self.rows_of.items())
+        }
+        return [{domain: rows[step] for domain, rows in chunks.items()} for step in range(self.steps)]
+
+    def _slots(self, rng: np.random.Generator) -> np.ndarray:
+        """``(steps, share)``: position among the known tasks of every sample, alike in all domains."""
+        # The largest of logits plus Gumbel noise are a weighted draw without replacement.
+        keys = self.logits + rng.gumbel(size=(self.steps, len(self.known)))
+        chosen = np.argsort(-keys, axis=1)[:, : self.tasks_per_batch]
+        return chosen[:, np.arange(self.share) % self.tasks_per_batch]
+
+    def _draw(self, slots: np.ndarray, pools: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+        drawn = np.empty(slots.shape, dtype=np.int64)
+        for task, pool in enumerate(pools):
+            here = slots == task
+            drawn[here] = shuffled(pool, int(here.sum()), rng)
+        return drawn
 
 
 class NoSteps:

@@ -19,7 +19,7 @@ from datamodules.images import Images, stored_images
 from datamodules.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
 from datamodules.normalization import Statistics
 from datamodules.problem import TransferProblem
-from datamodules.sampler import AlignmentOrder, MixOrder, NoSteps, PairOrder, generator
+from datamodules.sampler import AlignmentOrder, MixOrder, NoSteps, PairOrder, TaskwiseOrder, generator
 from datamodules.table import Table, build_table
 from datamodules.types import Batch, Collector, Demand, DomainSpec
 
@@ -53,6 +53,7 @@ class TransferDataModule(LightningDataModule):
             ask for them, and as much of them is kept. The batches are the same.
         source_trajectories: Demonstrations of all proxy tasks together in each domain but the target domain; as many as
             ``trajectories`` if not given.
+        tasks_per_batch: Alignment batches hold the same so many tasks in every domain; steps of all tasks if not given.
         collector: Makes missing demonstrations; None if they can only come from the file.
     """
 
@@ -76,6 +77,7 @@ class TransferDataModule(LightningDataModule):
         seed: int = 0,
         image_memory: float = 4.0,
         source_trajectories: int | None = None,
+        tasks_per_batch: int | None = None,
         collector: Collector | None = None,
     ) -> None:
         super().__init__()
@@ -86,6 +88,7 @@ class TransferDataModule(LightningDataModule):
         self.source_trajectories = source_trajectories or trajectories
         self.held_out, self.batch_size, self.pairs, self.stride = held_out, batch_size, pairs, stride
         self.mix, self.seed, self.image_memory, self.collector = mix, seed, image_memory, collector
+        self.tasks_per_batch = tasks_per_batch
         self._loader: Loader | None = None
         self._cursor: Mapping[str, int] | None = None
 
@@ -205,7 +208,10 @@ class TransferDataModule(LightningDataModule):
         if demand.steps == "mix":
             return MixOrder(self.rows(self.target_tasks, "train"), proxies, self.mix, self.batch_size, self.seed)
         rows = proxies if demand.steps == "proxies" else self.rows([*self.proxies, *self.target_tasks], "train")
-        return AlignmentOrder(rows, self.batch_size, self.seed)
+        if self.tasks_per_batch is None:
+            return AlignmentOrder(rows, self.batch_size, self.seed)
+        tasks = {domain: self.tables[domain].task.numpy()[found] for domain, found in rows.items()}
+        return TaskwiseOrder(rows, tasks, self.tasks_per_batch, self.batch_size, self.seed)
 
     def _tables(self, demand: Demand) -> dict[str, Table]:
         return {d: table if demand.images else table.without_images() for d, table in self.tables.items()}

@@ -139,6 +139,7 @@ LEAST: Mapping[str, float] = {
     "data.held_out": 0,
     "data.batch_size": 1,
     "data.pairs": 1,
+    "data.tasks_per_batch": 1,
     "data.stride": 1,
     "data.mix": 0,
     "data.image_memory": 0,
