@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+import yaml
 from command import ROOT, TINY, complaint, plp
 from test_configs import invent_demonstrations
 
@@ -50,7 +51,7 @@ def numbers(words: list[str]) -> tuple[str, str, Mapping[str, int]]:
 
 
 def test_every_documented_row_has_a_run_directory_of_its_own() -> None:
-    assert len(COMMANDS) == 24
+    assert len(COMMANDS) == 26
     paths = {parse(absolute(words)).run_path for words in COMMANDS.values()}
     assert len(paths) == len(COMMANDS)
 
@@ -124,3 +125,16 @@ def test_three_sources_run_in_miniature(tmp_path: Path) -> None:
     results = json.loads((experiment.run_path / "results.json").read_text())
     assert (results["experiment"], results["method"]) == ("p2p_medium_sources_3", "plp_t")
     assert results["proxy"]["episodes"] == 4
+
+
+@pytest.mark.parametrize("page", ["v2v_reach", "v2v_open"])
+def test_the_paper_s_settings_of_v2v_are_an_overlay(page: str) -> None:
+    def settings(*further: str) -> tuple[object, ...]:
+        config = yaml.safe_load(parse(["--config", str(ROOT / "configs" / f"{page}.yaml"), *further]).config)
+        phases = [config[phase]["init_args"] for phase in ("alignment", "adaptation")]
+        schedules = [phase["lr_schedule"] for phase in phases]
+        return phases[0]["epochs"], phases[0]["reconstruction_halvings"], schedules, config["trainer"]["precision"]
+
+    assert settings() == (20, 1, ["cosine", "cosine"], "bf16-mixed")
+    paper = str(ROOT / "configs" / "studies" / "v2v_paper.yaml")
+    assert settings("--config", paper) == (80, 0, ["constant", "constant"], "32-true")
