@@ -46,8 +46,9 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
-        decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys. A state holds
-            what a robot senses of itself, so that ``proprioception`` is all of it; images never reach the decoder.
+        decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys, of which each
+            domain shows those that it has. A state holds what a robot senses of itself, so that ``proprioception`` is
+            all of it; images never reach the decoder.
         columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
             domains whose vectors mean the same.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
@@ -96,7 +97,7 @@ class PortablePolicy(AligningPolicy):
         self.image_shape = image_shape(domains) if image_channels else None
         self.image_features = 0 if self.image_shape is None else image_features
         self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
-        self.context_columns = {spec.name: _context_columns(spec, decoder_state) for spec in domains}
+        self.context_columns = _context_columns(domains, decoder_state)
         self.states = DomainColumns({spec.name: spec.state_size for spec in domains}, columns)
         self.contexts = DomainColumns({name: len(seen) for name, seen in self.context_columns.items()}, columns)
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
@@ -151,12 +152,18 @@ def _split(joined: Tensor, observation: Observations) -> dict[str, Tensor]:
     return dict(zip(observation, joined.split(sizes), strict=True))
 
 
-def _context_columns(spec: DomainSpec, decoder_state: DecoderState) -> list[int]:
+def _context_columns(domains: Sequence[DomainSpec], decoder_state: DecoderState) -> dict[str, list[int]]:
+    """Columns of the state that the decoder sees, by domain."""
     if decoder_state == "none":
-        return []
+        return {spec.name: [] for spec in domains}
     if decoder_state in ("proprioception", "all"):
-        return list(range(spec.state_size))
+        return {spec.name: list(range(spec.state_size)) for spec in domains}
     if isinstance(decoder_state, str):
         known = "'none', 'all' or a list of observation keys, or 'proprioception'"
         raise ConfigError(f"decoder_state is {decoder_state!r}; expected {known}")
-    return spec.columns(decoder_state)
+    keys = {spec.name: [key.name for key in spec.state_keys] for spec in domains}
+    everywhere = {name for names in keys.values() for name in names}
+    for name in decoder_state:
+        if name not in everywhere:
+            raise ConfigError(f"decoder_state names {name!r}; expected state keys: {', '.join(sorted(everywhere))}")
+    return {s.name: s.columns([name for name in decoder_state if name in keys[s.name]]) for s in domains}

@@ -10,9 +10,9 @@ import tiny
 import torch
 from torch import Tensor
 
-from datamodules.errors import ConfigError, UserError
+from datamodules.errors import ConfigError
 from datamodules.normalization import Statistics
-from datamodules.types import DomainSpec, Observation
+from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.networks import Sharing
 from plp_lightning.policy import PortablePolicy
 
@@ -184,8 +184,14 @@ def test_the_decoder_sees_of_the_state_what_it_is_told_to(decoder_state: Decoder
 def test_an_unknown_decoder_state_is_refused() -> None:
     with pytest.raises(ConfigError, match="decoder_state is 'some'; expected 'none', 'all' or a list of observ"):
         build(decoder_state="some")  # type: ignore[arg-type]
-    with pytest.raises(UserError, match="domain 'small' has no state key 'c'; it has: a, b"):
-        build(decoder_state=["c"])
+    with pytest.raises(ConfigError, match="decoder_state names 'd'; expected state keys: a, b"):
+        build(decoder_state=["a", "d"])
+
+
+def test_a_domain_shows_the_decoder_those_of_the_named_keys_that_it_has() -> None:
+    more = DomainSpec("more", (ObservationKey("a", (1,)), ObservationKey("joints", (2,))), 2, 10.0)
+    policy = build((SMALL, more), decoder_state=["a", "joints"])
+    assert policy.context_columns == {"small": [0], "more": [0, 1, 2]}
 
 
 def test_acting_is_the_forward_pass() -> None:
