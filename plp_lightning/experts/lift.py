@@ -55,13 +55,14 @@ class LiftExpert(Expert):
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""
         hand = observation.state[:, self._hand].astype(np.float64)
-        holds = self._sign * (observation.state[:, self._finger] - self._threshold) > 0.0
         block = self._blocks[episodes]
         aside = np.linalg.norm(block[:, :2] - hand[:, :2], axis=1)
+        closed = self._sign * (observation.state[:, self._finger] - self._threshold) > 0.0
+        holds = closed & (aside < OVER)  # a hand that is closed elsewhere is empty: it opens on its way
         there = (aside < NEAR) & (np.abs(block[:, 2] - hand[:, 2]) < NEAR)
         above = np.select([holds, aside < OVER], [LIFT, 0.0], ABOVE)
         way = block + above[:, None] * [0.0, 0.0, 1.0] - hand
-        low = ~holds & (aside >= OVER) & (hand[:, 2] < block[:, 2] + CLEAR)
+        low = (aside >= OVER) & (hand[:, 2] < block[:, 2] + CLEAR)
         way[low, :2] *= CREEP
         grip = np.where(holds | there, 1.0, -1.0)
         return np.column_stack([np.clip(GAIN * way / STEP, -1.0, 1.0), grip]).astype(np.float32)

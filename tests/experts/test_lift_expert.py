@@ -39,6 +39,7 @@ def act(robot: Robot, offset: list[float], finger: float, noise: float = 0.0) ->
         ([0.0, 0.0, 0.0], True, [0.0, 0.0, 1.0, 1.0]),
         ([0.005, 0.0, -0.005], False, [-0.3, 0.0, 0.3, 1.0]),  # at the block: close
         ([0.0, 0.005, 0.015], False, [0.0, -0.3, -0.9, -1.0]),  # over it: descend, open
+        ([0.1, -0.01, 0.06], True, [-1.0, 0.6, 0.6, -1.0]),  # closed, but on nothing: open on the way
         ([0.1, -0.01, 0.06], False, [-1.0, 0.6, 0.6, -1.0]),  # beside it and high enough: gather above
         ([0.1, -0.05, 0.04], False, [-0.9, 0.45, 1.0, -1.0]),  # beside it and low: rise first
     ],
