@@ -56,6 +56,12 @@ def test_the_report_of_the_kept_results_is_current(tmp_path):
     assert plp("report", results).out == (results / "report.md").read_text()
 
 
+def test_the_readme_shows_the_means_of_the_kept_results():
+    report = (ROOT / "docs" / "results" / "report.md").read_text()
+    table = report[report.index("| experiment") : report.index("\n\n## Runs")]
+    assert table in (ROOT / "README.md").read_text(), "copy the table of docs/results/report.md into README.md"
+
+
 @pytest.mark.parametrize("record", read_records([ROOT / "docs" / "results"]), ids=lambda r: f"{r.method}-{r.target}")
 def test_kept_results_lie_where_their_names_say(record):
     assert (ROOT / "docs" / "results" / record.experiment / record.method / f"{record.target}.json").is_file()
