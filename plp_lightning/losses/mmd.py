@@ -12,15 +12,17 @@ from torch.autograd.function import once_differentiable
 from plp_lightning.losses.distance import full_precision, inverse_distance
 
 
-def mmd(latents: Sequence[Tensor]) -> Tensor:
+def mmd(latents: Sequence[Tensor], scale_gradient: bool = True) -> Tensor:
     r"""Squared maximum mean discrepancy between domains, mean over all pairs of domains.
 
     .. math::
         L_{MMD} &= \mathbb{E} f(x, x') + \mathbb{E} f(y, y') - 2 \, \mathbb{E} f(x, y) \\
         f(a, b) &= \exp(-\|a - b\|^2 / m^2)
 
-    with m the mean distance between two different rows of the pooled batch, of all domains. The gradient
-    flows through m: scaling the latents changes nothing, so the loss can't be lowered by shrinking them.
+    with m the mean distance between two different rows of the pooled batch, of all domains. Where the gradient
+    flows through m, scaling the latents changes nothing, so the loss can't be lowered by shrinking them; but a few
+    rows that run far away raise m and with it f between all others, aligned or not. Where m counts as a constant,
+    nothing is gained by that.
     Expectations are means over all pairs of rows, a row with itself included (the biased estimate), so that
     two samples of one distribution are about ``(1/B_x + 1/B_y)(1 - mean f)`` apart. See "Cross-Domain Policy
     Transfer by Representation Alignment via Multi-Domain Behavioral Cloning"
@@ -29,6 +31,7 @@ def mmd(latents: Sequence[Tensor]) -> Tensor:
 
     Args:
         latents: One tensor ``(B_d, Z)`` for each of two or more domains; batch sizes may differ.
+        scale_gradient: Let the gradient flow through m.
 
     Returns:
         Scalar, at least 0 up to rounding; float32 whatever autocast says. Differentiable once.
@@ -45,7 +48,7 @@ def mmd(latents: Sequence[Tensor]) -> Tensor:
         # Distances don't feel a shift, but the rounding of their matrix product does.
         centred = pooled - pooled.detach().mean(0)
         weights = pair_weights([size for size, _ in shapes], centred)
-        return cast("Tensor", _KernelSum.apply(centred, weights))  # type: ignore[no-untyped-call]
+        return cast("Tensor", _KernelSum.apply(centred, weights, scale_gradient))  # type: ignore[no-untyped-call]
 
 
 def pair_weights(sizes: Sequence[int], like: Tensor) -> Tensor:
@@ -72,12 +75,12 @@ class _KernelSum(torch.autograd.Function):
     symmetric) and twice the passes over ``(N, N)``:
 
         dL/ds_ij = -k_ij / m² + r_ij / d_ij,  where k_ij = w_ij exp(-s_ij / m²)
-        r = sum_ij k_ij s_ij / m³ / (N (N - 1))
+        r = sum_ij k_ij s_ij / m³ / (N (N - 1)), or 0 where m counts as a constant
         dL/dx_i = 4 sum_j dL/ds_ij (x_i - x_j)
     """
 
     @staticmethod
-    def forward(ctx: Any, points: Tensor, weights: Tensor) -> Tensor:
+    def forward(ctx: Any, points: Tensor, weights: Tensor, scale_gradient: bool) -> Tensor:
         """Points ``(N, Z)``, centred; weights ``(N, N)``, symmetric."""
         product = points @ points.T
         norm = product.diagonal().clone()
@@ -89,15 +92,17 @@ class _KernelSum(torch.autograd.Function):
         scale = torch.where(mean > 0, 1 / mean, 0)
         ratio = squared.mul_(scale.square())
         kernel = torch.exp(-ratio).mul_(weights)
-        slope = torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs
+        slope = (
+            torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs if scale_gradient else torch.zeros_like(scale)
+        )
         ctx.save_for_backward(points, kernel, inverse, scale, slope)
         return kernel.sum()
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         """Gradient with respect to the points."""
         points, kernel, inverse, scale, slope = ctx.saved_tensors
         squared_grad = torch.addcmul(kernel * -scale.square(), inverse, slope)
         row = squared_grad.sum(1, keepdim=True)
-        return 4 * grad * (row * points - squared_grad @ points), None
+        return 4 * grad * (row * points - squared_grad @ points), None, None

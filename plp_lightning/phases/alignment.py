@@ -35,6 +35,8 @@ class Alignment(Phase[PortablePolicy]):
         tcc_weight: λ_TCC.
         adversarial_weight: Weight of the encoder's loss against the discriminator.
         reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
+        mmd_scale_gradient: Let MMD's gradient flow through the mean distance that it divides by. Without, a few latent
+            states can't lower the loss by running away from all others.
         bc_reduction: Of behavioural cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         reconstruction_halvings: How often images are halved before; each makes the image decoder, the costliest part
             of a step with images, a layer shorter.
@@ -58,6 +60,7 @@ class Alignment(Phase[PortablePolicy]):
         adversarial_weight: float = 0.1,
         reconstruction_weight: float = 1.0,
         reconstruction_halvings: int = 0,
+        mmd_scale_gradient: bool = True,
         bc_reduction: Literal["mean", "sum"] = "mean",
         tcc_similarity: Literal["distance", "squared", "scaled"] = "distance",
         discriminator_layers: int = 4,
@@ -74,6 +77,7 @@ class Alignment(Phase[PortablePolicy]):
             "adversarial": adversarial_weight,
             "reconstruction": reconstruction_weight,
         }
+        self.mmd_scale_gradient = mmd_scale_gradient
         self.terms, self.bc_reduction, self.tcc_similarity = tuple(terms), bc_reduction, tcc_similarity
         self.demand = Demand(pairs="thinned" if "tcc" in terms else "none")
         self.discriminator = (
@@ -123,7 +127,7 @@ class Alignment(Phase[PortablePolicy]):
         """Terms that compare the domains' latent distributions."""
         parts: dict[str, Tensor] = {}
         if "mmd" in self.terms:
-            parts["mmd"] = mmd(latents)
+            parts["mmd"] = mmd(latents, self.mmd_scale_gradient)
         if self.discriminator is not None:
             # Each loss reaches one player only, so one optimiser step serves both.
             parts["discriminator"] = discrimination(self.discriminator, latents)

@@ -27,20 +27,21 @@ def by_loops(latents: Sequence[Tensor]) -> float:
     return sum(pairs) / len(pairs)
 
 
-def by_differentiation(latents: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+def by_differentiation(latents: Sequence[Tensor], scale_gradient: bool = True) -> tuple[Tensor, Tensor]:
     """Value and gradient for two domains in float64 from exact distances, differentiated by autograd."""
     pooled = torch.cat(list(latents)).double().requires_grad_()
     distance = torch.cdist(pooled, pooled, compute_mode="donot_use_mm_for_euclid_dist")
     mean = distance.sum() / (len(pooled) * (len(pooled) - 1))
+    mean = mean if scale_gradient else mean.detach()
     kernel, n = torch.exp(-((distance / mean) ** 2)), len(latents[0])
     loss = kernel[:n, :n].mean() + kernel[n:, n:].mean() - 2 * kernel[:n, n:].mean()
     loss.backward()
     return loss.detach(), gradient(pooled)
 
 
-def value_and_gradient(latents: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+def value_and_gradient(latents: Sequence[Tensor], scale_gradient: bool = True) -> tuple[Tensor, Tensor]:
     leaves = [latent.clone().requires_grad_() for latent in latents]
-    loss = mmd(leaves)
+    loss = mmd(leaves, scale_gradient)
     loss.backward()
     return loss.detach(), torch.cat([gradient(leaf) for leaf in leaves])
 
@@ -120,6 +121,30 @@ def test_gradient_neither_scales_nor_moves_the_latents() -> None:
     assert slope.norm() > 0.01
     assert (slope * torch.cat(latents)).sum().item() == pytest.approx(0, abs=1e-14)
     assert slope.sum(0).tolist() == pytest.approx([0, 0, 0], abs=1e-14)
+
+
+@pytest.mark.parametrize("scale_gradient", [True, False])
+def test_the_scale_is_differentiated_or_constant(scale_gradient: bool) -> None:
+    latents = normal(6, 9)
+    found = value_and_gradient(latents, scale_gradient)
+    for ours, theirs in zip(found, by_differentiation(latents, scale_gradient), strict=True):
+        torch.testing.assert_close(ours, theirs)
+    others = value_and_gradient(latents, not scale_gradient)
+    assert found[0] == others[0]
+    assert (found[1] - others[1]).norm() > 0.1 * found[1].norm()
+
+
+def runaway(scale_gradient: bool) -> float:
+    """Slope of the loss along the way of one row, far from all others, further away."""
+    first, second = normal(20, 20)
+    first[0] = torch.tensor([20.0, 0.0, 0.0])
+    _, slope = value_and_gradient([first, second + 1.0], scale_gradient)
+    return float(slope[0, 0])
+
+
+def test_a_row_gains_nothing_by_running_away_if_the_scale_is_constant() -> None:
+    assert runaway(scale_gradient=True) < -1e-4
+    assert runaway(scale_gradient=False) == pytest.approx(0, abs=1e-8)
 
 
 @pytest.mark.parametrize("sizes", [(4, 3), (2, 3, 2)])
