@@ -102,7 +102,7 @@ def test_the_decoder_sees_the_state_alone(decoder_state: str | list[str]) -> Non
 
 
 def test_the_decoder_cannot_be_given_the_image() -> None:
-    with pytest.raises(UserError, match="domain 'left' has no state key 'camera'; it has: a, b"):
+    with pytest.raises(UserError, match="decoder_state names 'camera'; expected state keys: a, b"):
         build(LEFT, decoder_state=["camera"])
 
 
