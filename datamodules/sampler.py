@@ -42,12 +42,16 @@ class AlignmentOrder:
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
         """Rows ``(share,)`` by domain, for each step of the epoch."""
-        drawn = {
-            domain: shuffled(rows, self.steps * self.share, generator(ALIGNMENT, self.seed, epoch, i))
+        drawn = self._drawn(epoch)
+        return [{domain: rows[step] for domain, rows in drawn.items()} for step in range(self.steps)]
+
+    def _drawn(self, epoch: int) -> dict[str, np.ndarray]:
+        """Rows ``(steps, share)`` by domain."""
+        count = self.steps * self.share
+        return {
+            domain: shuffled(rows, count, generator(ALIGNMENT, self.seed, epoch, i)).reshape(self.steps, self.share)
             for i, (domain, rows) in enumerate(self.rows.items())
         }
-        chunks = {domain: rows.reshape(self.steps, self.share) for domain, rows in drawn.items()}
-        return [{domain: rows[step] for domain, rows in chunks.items()} for step in range(self.steps)]
 
 
 class TaskwiseOrder(AlignmentOrder):
@@ -80,14 +84,12 @@ class TaskwiseOrder(AlignmentOrder):
             d: [r[tasks[d] == task] if task in tasks[d] else r for task in self.known] for d, r in rows.items()
         }
 
-    def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
-        """Rows ``(share,)`` by domain, for each step of the epoch."""
+    def _drawn(self, epoch: int) -> dict[str, np.ndarray]:
         slots = self._slots(generator(ALIGNMENT, self.seed, epoch))
-        chunks = {
-            domain: self._draw(slots, pools, generator(ALIGNMENT, self.seed, epoch, i))
+        return {
+            domain: self._fill(slots, pools, generator(ALIGNMENT, self.seed, epoch, i))
             for i, (domain, pools) in enumerate(self.rows_of.items())
         }
-        return [{domain: rows[step] for domain, rows in chunks.items()} for step in range(self.steps)]
 
     def _slots(self, rng: np.random.Generator) -> np.ndarray:
         """``(steps, share)``: position among the known tasks of every sample, alike in all domains."""
@@ -96,7 +98,7 @@ class TaskwiseOrder(AlignmentOrder):
         chosen = np.argsort(-keys, axis=1)[:, : self.tasks_per_batch]
         return chosen[:, np.arange(self.share) % self.tasks_per_batch]
 
-    def _draw(self, slots: np.ndarray, pools: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+    def _fill(self, slots: np.ndarray, pools: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
         drawn = np.empty(slots.shape, dtype=np.int64)
         for task, pool in enumerate(pools):
             here = slots == task

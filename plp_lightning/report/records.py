@@ -52,11 +52,11 @@ def read_records(paths: Sequence[Path]) -> list[Record]:
     Raises:
         ConfigError: If a path is missing or holds no results, a file is damaged, or two stand for the same run.
     """
-    files = sorted({file.resolve() for path in paths for file in _result_files(path)})
+    contents = {file.resolve(): content for path in paths for file, content in _results(path).items()}
     found: dict[tuple[str, str, str, int], Path] = {}
     records = []
-    for file in files:
-        record = _record(file)
+    for file, content in sorted(contents.items(), key=lambda item: item[0]):
+        record = _record(file, content)
         key = (record.experiment, record.method, record.target, record.seed)
         if key in found:
             raise ConfigError(f"{file} and {found[key]} hold the same run {'/'.join(map(str, key))}; name one of them")
@@ -65,15 +65,16 @@ def read_records(paths: Sequence[Path]) -> list[Record]:
     return records
 
 
-def _result_files(path: Path) -> list[Path]:
+def _results(path: Path) -> dict[Path, Any]:
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder; expected run directories, such as runs")
     if path.is_file():
-        return [path]
-    files = [file for file in path.rglob("*.json") if _is_result(_read(file))]
-    if not files:
+        return {path: _read(path)}
+    contents = {file: _read(file) for file in path.rglob("*.json")}
+    results = {file: content for file, content in contents.items() if _is_result(content)}
+    if not results:
         raise ConfigError(f"{path}: found no results.json below it; expected directories of finished runs")
-    return files
+    return results
 
 
 def _is_result(content: Any) -> bool:
@@ -87,8 +88,7 @@ def _read(file: Path) -> Any:
         raise ConfigError(f"{file}: no JSON ({error}); expected results.json of a run") from None
 
 
-def _record(file: Path) -> Record:
-    content = _read(file)
+def _record(file: Path, content: Any) -> Record:
     try:
         target = content["target"]
         return Record(

@@ -30,7 +30,7 @@ def paper_values() -> Paper:
 
 def markdown(records: Sequence[Record]) -> str:
     """The report: a table of methods, mean over their runs, and a table of runs."""
-    ordered = sorted(records, key=lambda record: (*_rank(record), record.target, record.seed))
+    ordered = sorted(records, key=_rank)
     return "\n".join(
         [
             "# Success rates",
@@ -59,17 +59,18 @@ def comma_separated(records: Sequence[Record]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*plain, *scores])
-    for record in sorted(records, key=lambda record: (*_rank(record), record.target, record.seed)):
+    for record in sorted(records, key=_rank):
         cells = [getattr(record, name) for name in plain]
         writer.writerow(cells + [record.alignment.get(name) for name in scores])
     return text.getvalue()
 
 
-def _rank(record: Record) -> tuple[int, str, int, str]:
+def _rank(record: Record) -> tuple[int, str, int, str, str, int]:
     """Order of the paper; what it doesn't know comes last, by name."""
     experiments = list(paper_values())
     methods = list(paper_values().get(record.experiment, {}))
-    return (*_place(record.experiment, experiments), *_place(record.method, methods))
+    places = (*_place(record.experiment, experiments), *_place(record.method, methods))
+    return (*places, record.target, record.seed)
 
 
 def _place(name: str, order: Sequence[str]) -> tuple[int, str]:
