@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from datamodules.atomic import locked_folder, replacing
 from plp_lightning.report.records import read_records
 from plp_lightning.report.tables import comma_separated, markdown
 from plp_lightning.verbs.options import OptionParser
@@ -26,5 +27,6 @@ def run_report(arguments: Sequence[str]) -> None:
         return
     options.out.mkdir(parents=True, exist_ok=True)
     for name, text in {"report.md": markdown(records), "report.csv": comma_separated(records)}.items():
-        (options.out / name).write_text(text, encoding="utf-8")
+        with locked_folder(options.out), replacing(options.out / name) as new:
+            new.write_text(text, encoding="utf-8")
         print(f"{options.out / name}: {len(records)} runs")
