@@ -123,7 +123,10 @@ class TransferDataModule(LightningDataModule):
 
         Raises:
             MissingTrajectoriesError: If some are missing and there is no collector.
+            UserError: If the collector would have made those that are there otherwise.
         """
+        if self.collector is not None and self.path.exists():
+            self.collector.check(self.path)
         if not self.missing():
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)

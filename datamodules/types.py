@@ -213,3 +213,10 @@ class Collector(Protocol):
 
     def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
         """Add ``missing[domain][task]`` successful demonstrations to the file at ``path``, atomically."""
+
+    def check(self, path: Path) -> None:
+        """Refuse a file whose demonstrations this collector would have made otherwise.
+
+        Raises:
+            UserError: If it would.
+        """

@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -49,6 +49,19 @@ class Recipe:
     seed: int = 0
     attempts: int = 3
 
+    def differences(self, other: Mapping[str, object]) -> dict[str, tuple[object, object]]:
+        """Settings in which another recipe's demonstrations differ from this one's, as (other's, own).
+
+        Args:
+            other: The other recipe by setting, as stored in a file; what it lacks had its default.
+        """
+        pairs = {f.name: (other.get(f.name, f.default), getattr(self, f.name)) for f in fields(self)}
+        return {name: pair for name, pair in pairs.items() if name in DECISIVE and pair[0] != pair[1]}
+
+
+DECISIVE = ("linger", "noise", "wander", "seed")
+"""Settings of a recipe that decide what its demonstrations hold."""
+
 
 @dataclass(frozen=True)
 class Job:
@@ -83,6 +96,25 @@ class ExpertCollector:
         specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
         add_trajectories(path, specs, first.tasks, list(self._collect(self._jobs(path, missing))), self._provenance())
 
+    def check(self, path: Path) -> None:
+        """Refuse a file whose demonstrations another recipe made: who changes a setting means to see its effect.
+
+        Demonstrations that were imported are taken as they are.
+
+        Raises:
+            UserError: If another recipe made demonstrations of one of the domains.
+        """
+        with TrajectoryFile.open(path) as file:
+            records = [file.provenance, *file.provenance.get("earlier", [])]
+        for record in records:
+            if not self.domains.keys() & record.get("experts", {}).keys():
+                continue
+            for name, (found, wanted) in self.recipe.differences(record["recipe"]).items():
+                raise UserError(
+                    f"{path}: its demonstrations were collected with --collection.{name} {found}; "
+                    f"expected {wanted}: restore the setting or name another --data.file"
+                )
+
     def _jobs(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> list[Job]:
         known: dict[str, frozenset[int]] = {}
         if path.exists():
@@ -112,7 +144,7 @@ class ExpertCollector:
     def _provenance(self) -> dict[str, object]:
         experts = {name: type(domain.expert).__name__ for name, domain in self.domains.items()}
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        return {"command": command, "recipe": vars(self.recipe), "experts": experts, "versions": versions()}
+        return {"command": command, "recipe": asdict(self.recipe), "experts": experts, "versions": versions()}
 
 
 def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:

@@ -133,6 +133,40 @@ def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
         ExpertCollector(domains, RECIPE)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}, "tall": {"goal_0": 1}})
 
 
+@pytest.mark.parametrize(
+    ("setting", "value"), [("linger", 6), ("noise", 0.3), ("wander", 2), ("seed", 1)], ids=lambda value: str(value)
+)
+def test_demonstrations_of_another_recipe_are_refused(tmp_path: Path, setting: str, value: float) -> None:
+    path = tmp_path / "a.hdf5"
+    domains = {"flat": Domain(LinearPoint(1), LinearPointExpert())}
+    ExpertCollector(domains, RECIPE)(path, {"flat": {"goal_0": 1}})
+    other = replace(RECIPE, **{setting: value})
+    was = getattr(RECIPE, setting)
+    with pytest.raises(UserError, match=rf"collected with --collection.{setting} {was}; expected {value}: restore"):
+        ExpertCollector(domains, other).check(path)
+    ExpertCollector({"tall": domains["flat"]}, other).check(path)  # another experiment's domain
+
+
+def test_recipes_that_make_the_same_demonstrations_share_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.hdf5"
+    domains = {"flat": Domain(LinearPoint(1), LinearPointExpert())}
+    ExpertCollector(domains, RECIPE)(path, {"flat": {"goal_0": 1}})
+    ExpertCollector(domains, replace(RECIPE, processes=2, attempts=9)).check(path)
+
+
+def test_a_recipe_among_earlier_ones_counts_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.hdf5"
+    domains = {"flat": Domain(LinearPoint(1), LinearPointExpert())}
+    ExpertCollector(domains, replace(RECIPE, linger=2))(path, {"flat": {"goal_0": 1}})
+    ExpertCollector(domains, RECIPE)(path, {"flat": {"goal_1": 1}})
+    with pytest.raises(UserError, match=r"--collection.linger 2; expected 5"):
+        ExpertCollector(domains, RECIPE).check(path)
+
+
+def test_imported_demonstrations_are_taken_as_they_are(trajectory_file: Path) -> None:
+    ExpertCollector(tiny.domains(), RECIPE).check(trajectory_file)
+
+
 def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
     simulator, expert = Recording(1, 3), LinearPointExpert()
     (shaken,) = made(expert, job(1), Recipe(noise=0.3, linger=0), simulator)[:1]

@@ -99,18 +99,27 @@ def test_missing_is_demand_without_what_the_file_holds(trajectory_file: Path, tm
     assert nothing.missing() == nothing.demand()
 
 
-def test_prepare_data_asks_the_collector_for_what_is_missing_once(tmp_path: Path) -> None:
-    calls: list[Mapping[str, Mapping[str, int]]] = []
+class NotingCollector:
+    """Collects everything at once and notes what it was asked."""
 
-    def collector(path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
-        calls.append(missing)
+    def __init__(self) -> None:
+        self.calls: list[Mapping[str, Mapping[str, int]]] = []
+        self.checked: list[Path] = []
+
+    def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+        self.calls.append(missing)
         write(path, tiny.demonstrations(4))
 
-    data = tiny.data_module(tmp_path / "new" / "data.hdf5")
+    def check(self, path: Path) -> None:
+        self.checked.append(path)
+
+
+def test_prepare_data_asks_the_collector_for_what_is_missing_once(tmp_path: Path) -> None:
+    data, collector = tiny.data_module(tmp_path / "new" / "data.hdf5"), NotingCollector()
     data.collector = collector
     data.prepare_data()
     data.prepare_data()
-    assert calls == [data.demand()]
+    assert (collector.calls, collector.checked) == ([data.demand()], [data.path])
 
 
 def test_without_a_collector_missing_demonstrations_are_named(tmp_path: Path) -> None:
