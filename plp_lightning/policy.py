@@ -46,9 +46,9 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
-        decoder_state: What the decoder sees of the state: nothing, all, or the named observation keys, of which each
-            domain shows those that it has. A state holds what a robot senses of itself, so that ``proprioception`` is
-            all of it; images never reach the decoder.
+        decoder_state: What the decoder sees beside the latent action: ``none``; ``proprioception``, which is the whole
+            state, since a state holds what a robot senses of itself; ``all``, which is the state and the image; or
+            the named keys of the state, of which each domain shows those that it has.
         columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
             domains whose vectors mean the same.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
@@ -104,7 +104,8 @@ class PortablePolicy(AligningPolicy):
         inputs = self.states.width + len(domains) + self.image_features
         self.encoder = StateEncoder(inputs, latent, hidden, encoder_layers)
         self.common = CommonPolicy(latent, len(tasks), hidden, policy_layers)
-        context = self.contexts.width + len(domains)
+        self.decoder_sees_images = decoder_state == "all" and self.image_shape is not None
+        context = self.contexts.width + len(domains) + (self.image_features if self.decoder_sees_images else 0)
         self.decoder = ActionDecoder(latent, context, self.actions.width, hidden, decoder_layers, gradient_floor)
         self.image_encoder = (
             None if self.image_shape is None else ImageEncoder(self.image_shape, image_channels, image_features)
@@ -120,6 +121,9 @@ class PortablePolicy(AligningPolicy):
     def decode(self, plan: Parts, observation: Observations) -> dict[str, Tensor]:
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
         context = self.contexts.join({d: self._context(obs, d) for d, obs in observation.items()})
+        if self.decoder_sees_images:
+            assert self.image_encoder is not None
+            context = torch.cat([context, see(self.image_encoder, observation, self.cameras)], dim=1)
         joined = torch.cat([plan[domain] for domain in observation])
         actions = _split(self.decoder(joined, context), observation)
         return {domain: self.actions.take(action, domain) for domain, action in actions.items()}

@@ -86,8 +86,11 @@ def test_a_domain_without_a_camera_has_zeros_in_its_place() -> None:
     assert policy(observation, task).action["blind"].shape == (3, 1)
 
 
-@pytest.mark.parametrize("decoder_state", ["none", "all", ["b"]])
-def test_the_decoder_sees_the_state_alone(decoder_state: str | list[str]) -> None:
+@pytest.mark.parametrize(
+    ("decoder_state", "state", "image"),
+    [("none", False, False), ("proprioception", True, False), (["b"], True, False), ("all", True, True)],
+)
+def test_the_decoder_sees_what_it_is_told_to(decoder_state: str | list[str], state: bool, image: bool) -> None:
     policy = build(LEFT, RIGHT, decoder_state=decoder_state)
     observation, _ = inputs(LEFT, RIGHT)
     plan = {domain: torch.ones(3, 6) for domain in observation}
@@ -95,13 +98,28 @@ def test_the_decoder_sees_the_state_alone(decoder_state: str | list[str]) -> Non
     dark = {
         d: Observation(o.state, None if o.image is None else torch.zeros_like(o.image)) for d, o in observation.items()
     }
-    assert all(torch.equal(actions[d], action) for d, action in policy.decode(plan, dark).items())
+    changed = [not torch.equal(actions[d], action) for d, action in policy.decode(plan, dark).items()]
+    assert changed == [image] * 2
     still = {d: Observation(torch.zeros_like(o.state), o.image) for d, o in observation.items()}
     changed = [not torch.equal(actions[d], action) for d, action in policy.decode(plan, still).items()]
-    assert changed == [decoder_state != "none"] * 2
+    assert changed == [state] * 2
 
 
-def test_the_decoder_cannot_be_given_the_image() -> None:
+def test_a_decoder_that_sees_images_gets_the_vector_that_the_encoder_gets() -> None:
+    policy = build(LEFT, BLIND, decoder_state="all")
+    observation, _ = inputs(LEFT, BLIND)
+    plan = {domain: torch.ones(3, 6) for domain in observation}
+    assert policy.image_encoder is not None
+    for i, (domain, obs) in enumerate(observation.items()):
+        state = torch.zeros(3, LEFT.state_size + BLIND.state_size)
+        first = [0, LEFT.state_size][i]
+        state[:, first : first + obs.state.shape[1]] = policy.scaler(obs.state, domain)
+        vector = torch.zeros(3, 5) if obs.image is None else policy.image_encoder(obs.image)
+        by_hand = policy.decoder(plan[domain], torch.cat([state, torch.eye(2)[i].expand(3, -1), vector], dim=1))
+        torch.testing.assert_close(policy.decode(plan, observation)[domain], policy.actions.take(by_hand, domain))
+
+
+def test_an_image_is_no_key_of_the_state() -> None:
     with pytest.raises(UserError, match="decoder_state names 'camera'; expected state keys: a, b"):
         build(LEFT, decoder_state=["camera"])
 

@@ -56,7 +56,7 @@ class StateOnlyAlignment(Alignment):
         lr_schedule: Of the learning rate.
 
     Raises:
-        ConfigError: If the policy's decoder does not see the state, or sees images.
+        ConfigError: If the policy's decoder does not see the state.
     """
 
     trains = StateOnlyPolicy
@@ -135,7 +135,6 @@ class StateOnlyAdaptation(Adaptation):
     """
 
     trains = StateOnlyPolicy
-    demand = Demand("mix", images=False, course=True)
 
     def __init__(
         self,
@@ -147,6 +146,7 @@ class StateOnlyAdaptation(Adaptation):
         next_reduction: Reduction = "mean",
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.demand = Demand("mix", images=False, course=True)
         self.next_reduction = next_reduction
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
@@ -175,4 +175,6 @@ class StateOnlyAdaptation(Adaptation):
 def _check_decoder(policy: StateOnlyPolicy) -> None:
     if not policy.context_columns[policy.problem.target_domain]:
         found = policy.architecture["decoder_state"]
-        raise ConfigError(f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'all'")
+        raise ConfigError(
+            f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
+        )

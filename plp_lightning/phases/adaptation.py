@@ -17,7 +17,7 @@ class Adaptation(Phase[PortablePolicy]):
     """Behavioural cloning of the target task with encoder and decoder frozen (paper, Eq. 6, Algorithm 2).
 
     The encoder never changes here, so the latent state of every step is computed once, when the phase
-    begins, and looked up by row from then on; no image is read again.
+    begins, and looked up by row from then on; no image is read again, unless the decoder sees them.
 
     Args:
         policy: The aligned policy.
@@ -28,7 +28,6 @@ class Adaptation(Phase[PortablePolicy]):
     """
 
     trains = PortablePolicy
-    demand = Demand("mix", images=False)
 
     def __init__(
         self,
@@ -39,6 +38,7 @@ class Adaptation(Phase[PortablePolicy]):
         lr_schedule: Schedule = "constant",
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.demand = Demand("mix", images=policy.decoder_sees_images)
         self.latents: dict[str, Tensor] = {}
 
     @property

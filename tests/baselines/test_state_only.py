@@ -164,7 +164,9 @@ def test_it_acts_in_the_target_domain_alone(trajectory_file: Path) -> None:
 
 def test_inverse_dynamics_has_to_see_the_state(trajectory_file: Path) -> None:
     blind = StateOnlyPolicy(tiny.data_module(trajectory_file).problem, latent=8, hidden=16)
-    with pytest.raises(ConfigError, match=r"decoder_state is 'none', but inverse dynamics has to see the state; set"):
+    with pytest.raises(
+        ConfigError, match=r"decoder_state is 'none', but inverse dynamics has to see the state; set it to 'prop"
+    ):
         StateOnlyAlignment(blind, ["mmd"])
 
 

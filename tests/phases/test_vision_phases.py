@@ -19,6 +19,7 @@ from plp_lightning.callbacks.checkpointing import RandomState, best_and_last
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.losses import behavioural_cloning, mmd, reconstruction, tcc
 from plp_lightning.phases import Adaptation, Alignment
+from plp_lightning.policy import PortablePolicy
 
 
 class Recorded(Alignment):
@@ -153,6 +154,19 @@ def test_adaptation_looks_at_every_image_once(seen_file: Path, make_trainer: Cal
     before = {name: value.clone() for name, value in phase.state_dict().items()}
     after = trained(phase, data, make_trainer(FreezeGuard(), epochs=3))
     assert counts == [len(table) for table in data.tables.values()]
+    changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
+    assert changed == {name for name in before if name.startswith("policy.common.")}
+
+
+def test_adaptation_shows_images_to_a_decoder_that_sees_them(
+    seen_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = seen.data_module(seen_file, seen.ON_DISK)
+    torch.manual_seed(0)
+    policy = PortablePolicy(data.problem, 8, 16, decoder_state="all", image_channels=(4, 6), image_features=5)
+    phase = Adaptation(policy, lr=1e-3)
+    before = {name: value.clone() for name, value in phase.state_dict().items()}
+    after = trained(phase, data, make_trainer(FreezeGuard(), epochs=1))
     changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
     assert changed == {name for name in before if name.startswith("policy.common.")}
 
