@@ -7,7 +7,7 @@ the state; a domain without a camera has zeros there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import torch
@@ -22,7 +22,9 @@ from plp_lightning.networks import ActionDecoder, CommonPolicy, DomainColumns, I
 from plp_lightning.networks.vision import image_shape, see
 from plp_lightning.scaling import InputScaler
 
+EncoderState = Literal["all"] | list[str]
 DecoderState = Literal["none", "proprioception", "all"] | list[str]
+ENCODER_STATES, DECODER_STATES = ("all",), ("none", "proprioception", "all")
 
 
 class Forward(NamedTuple):
@@ -46,6 +48,8 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
+        encoder_state: What the encoder sees of the state: ``all``, or the named keys, of which each domain shows those
+            that it has. Domains align more easily by what they have in common; the rest is for the decoder.
         decoder_state: What the decoder sees beside the latent action: ``none``; ``proprioception``, which is the whole
             state, since a state holds what a robot senses of itself; ``all``, which is the state and the image; or
             the named keys of the state, of which each domain shows those that it has.
@@ -70,6 +74,7 @@ class PortablePolicy(AligningPolicy):
         policy_layers: int = 4,
         decoder_layers: int = 3,
         gradient_floor: float = 0.1,
+        encoder_state: EncoderState = "all",
         decoder_state: DecoderState = "none",
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
@@ -84,6 +89,7 @@ class PortablePolicy(AligningPolicy):
             "policy_layers": policy_layers,
             "decoder_layers": decoder_layers,
             "gradient_floor": gradient_floor,
+            "encoder_state": encoder_state,
             "decoder_state": decoder_state,
             "columns": columns,
             "scaling": scaling,
@@ -97,8 +103,9 @@ class PortablePolicy(AligningPolicy):
         self.image_shape = image_shape(domains) if image_channels else None
         self.image_features = 0 if self.image_shape is None else image_features
         self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
-        self.context_columns = _context_columns(domains, decoder_state)
-        self.states = DomainColumns({spec.name: spec.state_size for spec in domains}, columns)
+        self.state_columns = _columns("encoder_state", encoder_state, ENCODER_STATES, domains)
+        self.context_columns = _columns("decoder_state", decoder_state, DECODER_STATES, domains)
+        self.states = DomainColumns({name: len(seen) for name, seen in self.state_columns.items()}, columns)
         self.contexts = DomainColumns({name: len(seen) for name, seen in self.context_columns.items()}, columns)
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
         inputs = self.states.width + len(domains) + self.image_features
@@ -113,14 +120,14 @@ class PortablePolicy(AligningPolicy):
 
     def encode(self, observation: Observations) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
-        inputs = self.states.join({d: self.scaler(obs.state, d) for d, obs in observation.items()})
+        inputs = self.states.join({d: self._pick(obs, d, self.state_columns) for d, obs in observation.items()})
         if self.image_encoder is not None:
             inputs = torch.cat([inputs, see(self.image_encoder, observation, self.cameras)], dim=1)
         return _split(self.encoder(inputs), observation)
 
     def decode(self, plan: Parts, observation: Observations) -> dict[str, Tensor]:
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
-        context = self.contexts.join({d: self._context(obs, d) for d, obs in observation.items()})
+        context = self.contexts.join({d: self._pick(obs, d, self.context_columns) for d, obs in observation.items()})
         if self.decoder_sees_images:
             assert self.image_encoder is not None
             context = torch.cat([context, see(self.image_encoder, observation, self.cameras)], dim=1)
@@ -143,12 +150,12 @@ class PortablePolicy(AligningPolicy):
         """The actions of :meth:`forward`."""
         return self.forward(observation, task).action
 
-    def _context(self, observation: Observation[Tensor], domain: str) -> Tensor:
-        columns = self.context_columns[domain]
-        if not columns:
+    def _pick(self, observation: Observation[Tensor], domain: str, columns: Mapping[str, list[int]]) -> Tensor:
+        """The scaled state's columns for this domain; no copy where there is nothing to leave out."""
+        if not columns[domain]:
             return observation.state[:, :0]
         scaled: Tensor = self.scaler(observation.state, domain)
-        return scaled[:, columns]
+        return scaled if columns[domain] == [*range(scaled.shape[1])] else scaled[:, columns[domain]]
 
 
 def _split(joined: Tensor, observation: Observations) -> dict[str, Tensor]:
@@ -156,18 +163,20 @@ def _split(joined: Tensor, observation: Observations) -> dict[str, Tensor]:
     return dict(zip(observation, joined.split(sizes), strict=True))
 
 
-def _context_columns(domains: Sequence[DomainSpec], decoder_state: DecoderState) -> dict[str, list[int]]:
-    """Columns of the state that the decoder sees, by domain."""
-    if decoder_state == "none":
+def _columns(
+    setting: str, chosen: str | list[str], choices: Sequence[str], domains: Sequence[DomainSpec]
+) -> dict[str, list[int]]:
+    """Columns of the state that a part of the policy sees, by domain."""
+    if chosen == "none" and "none" in choices:
         return {spec.name: [] for spec in domains}
-    if decoder_state in ("proprioception", "all"):
+    if isinstance(chosen, str):
+        if chosen not in choices:
+            known = ", ".join(map(repr, choices))
+            raise ConfigError(f"{setting} is {chosen!r}; expected {known} or a list of observation keys")
         return {spec.name: list(range(spec.state_size)) for spec in domains}
-    if isinstance(decoder_state, str):
-        known = "'none', 'all' or a list of observation keys, or 'proprioception'"
-        raise ConfigError(f"decoder_state is {decoder_state!r}; expected {known}")
     keys = {spec.name: [key.name for key in spec.state_keys] for spec in domains}
     everywhere = {name for names in keys.values() for name in names}
-    for name in decoder_state:
+    for name in chosen:
         if name not in everywhere:
-            raise ConfigError(f"decoder_state names {name!r}; expected state keys: {', '.join(sorted(everywhere))}")
-    return {s.name: s.columns([name for name in decoder_state if name in keys[s.name]]) for s in domains}
+            raise ConfigError(f"{setting} names {name!r}; expected state keys: {', '.join(sorted(everywhere))}")
+    return {s.name: s.columns([name for name in chosen if name in keys[s.name]]) for s in domains}

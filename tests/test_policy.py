@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -14,11 +13,10 @@ from datamodules.errors import ConfigError
 from datamodules.normalization import Statistics
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.networks import Sharing
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.policy import DecoderState, EncoderState, PortablePolicy
 
 SMALL, LARGE, TWIN = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5), tiny.spec("twin", 3, 2)
 TASKS = ("reach", "push", "lift")
-DecoderState = Literal["none", "all"] | list[str]
 
 
 def build(
@@ -26,10 +24,16 @@ def build(
     decoder_state: DecoderState = "all",
     statistics: dict[str, Statistics] | None = None,
     columns: Sharing = "own",
+    encoder_state: EncoderState = "all",
 ) -> PortablePolicy:
     torch.manual_seed(0)
     policy = PortablePolicy(
-        tiny.problem(domains, TASKS, statistics), latent=6, hidden=12, decoder_state=decoder_state, columns=columns
+        tiny.problem(domains, TASKS, statistics),
+        latent=6,
+        hidden=12,
+        encoder_state=encoder_state,
+        decoder_state=decoder_state,
+        columns=columns,
     )
     with torch.no_grad():
         for parameter in policy.parameters():
@@ -181,8 +185,27 @@ def test_the_decoder_sees_of_the_state_what_it_is_told_to(decoder_state: Decoder
         assert torch.equal(action, base) == (column not in moved)
 
 
+@pytest.mark.parametrize(("encoder_state", "moved"), [("all", [0, 1, 2]), (["a"], [0]), (["b"], [1, 2])])
+def test_the_encoder_sees_of_the_state_what_it_is_told_to(encoder_state: EncoderState, moved: list[int]) -> None:
+    policy = build(encoder_state=encoder_state)
+    state = torch.zeros(1, 3)
+    base = policy.encode({"small": Observation(state)})["small"]
+    for column in range(3):
+        shifted = state.clone()
+        shifted[0, column] = 1.0
+        latent = policy.encode({"small": Observation(shifted)})["small"]
+        assert torch.equal(latent, base) == (column not in moved)
+
+
+def test_an_unknown_encoder_state_is_refused() -> None:
+    with pytest.raises(ConfigError, match="encoder_state is 'none'; expected 'all' or a list of observation keys"):
+        build(encoder_state="none")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="encoder_state names 'd'; expected state keys: a, b"):
+        build(encoder_state=["d"])
+
+
 def test_an_unknown_decoder_state_is_refused() -> None:
-    with pytest.raises(ConfigError, match="decoder_state is 'some'; expected 'none', 'all' or a list of observ"):
+    with pytest.raises(ConfigError, match="decoder_state is 'some'; expected 'none', 'proprioception', 'all' or a l"):
         build(decoder_state="some")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="decoder_state names 'd'; expected state keys: a, b"):
         build(decoder_state=["a", "d"])
