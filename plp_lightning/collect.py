@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -55,8 +55,8 @@ class Recipe:
         Args:
             other: The other recipe by setting, as stored in a file; what it lacks had its default.
         """
-        pairs = {f.name: (other.get(f.name, f.default), getattr(self, f.name)) for f in fields(self)}
-        return {name: pair for name, pair in pairs.items() if name in DECISIVE and pair[0] != pair[1]}
+        pairs = {name: (other.get(name, getattr(Recipe, name)), getattr(self, name)) for name in DECISIVE}
+        return {name: (found, own) for name, (found, own) in pairs.items() if found != own}
 
 
 DECISIVE = ("linger", "noise", "wander", "seed")
@@ -104,16 +104,21 @@ class ExpertCollector:
         Raises:
             UserError: If another recipe made demonstrations of one of the domains.
         """
-        with TrajectoryFile.open(path) as file:
-            records = [file.provenance, *file.provenance.get("earlier", [])]
-        for record in records:
-            if not self.domains.keys() & record.get("experts", {}).keys():
-                continue
-            for name, (found, wanted) in self.recipe.differences(record["recipe"]).items():
+        for recipe in self._recipes(path):
+            for name, (found, wanted) in self.recipe.differences(recipe).items():
                 raise UserError(
                     f"{path}: its demonstrations were collected with --collection.{name} {found}; "
                     f"expected {wanted}: restore the setting or name another --data.file"
                 )
+
+    def _recipes(self, path: Path) -> Iterator[Mapping[str, object]]:
+        """Recipes by which experts of this project made demonstrations of the domains."""
+        with TrajectoryFile.open(path) as file:
+            records = [file.provenance, *file.provenance.get("earlier", [])]
+        for record in records:
+            match record:
+                case {"experts": dict(experts), "recipe": dict(recipe)} if self.domains.keys() & experts.keys():
+                    yield recipe
 
     def _jobs(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> list[Job]:
         known: dict[str, frozenset[int]] = {}
@@ -144,7 +149,7 @@ class ExpertCollector:
     def _provenance(self) -> dict[str, object]:
         experts = {name: type(domain.expert).__name__ for name, domain in self.domains.items()}
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        return {"command": command, "recipe": asdict(self.recipe), "experts": experts, "versions": versions()}
+        return {"command": command, "recipe": vars(self.recipe), "experts": experts, "versions": versions()}
 
 
 def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:

@@ -167,13 +167,11 @@ def _columns(
     setting: str, chosen: str | list[str], choices: Sequence[str], domains: Sequence[DomainSpec]
 ) -> dict[str, list[int]]:
     """Columns of the state that a part of the policy sees, by domain."""
-    if chosen == "none" and "none" in choices:
-        return {spec.name: [] for spec in domains}
     if isinstance(chosen, str):
         if chosen not in choices:
             known = ", ".join(map(repr, choices))
             raise ConfigError(f"{setting} is {chosen!r}; expected {known} or a list of observation keys")
-        return {spec.name: list(range(spec.state_size)) for spec in domains}
+        return {spec.name: [] if chosen == "none" else [*range(spec.state_size)] for spec in domains}
     keys = {spec.name: [key.name for key in spec.state_keys] for spec in domains}
     everywhere = {name for names in keys.values() for name in names}
     for name in chosen:

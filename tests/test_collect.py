@@ -10,7 +10,7 @@ import pytest
 import tiny
 
 from datamodules.errors import UserError
-from datamodules.hdf5 import TrajectoryFile
+from datamodules.hdf5 import TrajectoryFile, write_trajectories
 from datamodules.types import Observation, Trajectory
 from plp_lightning import collect
 from plp_lightning.collect import ExpertCollector, Job, Recipe, demonstrate
@@ -133,9 +133,7 @@ def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
         ExpertCollector(domains, RECIPE)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}, "tall": {"goal_0": 1}})
 
 
-@pytest.mark.parametrize(
-    ("setting", "value"), [("linger", 6), ("noise", 0.3), ("wander", 2), ("seed", 1)], ids=lambda value: str(value)
-)
+@pytest.mark.parametrize(("setting", "value"), [("linger", 6), ("noise", 0.3), ("wander", 2), ("seed", 1)], ids=str)
 def test_demonstrations_of_another_recipe_are_refused(tmp_path: Path, setting: str, value: float) -> None:
     path = tmp_path / "a.hdf5"
     domains = {"flat": Domain(LinearPoint(1), LinearPointExpert())}
@@ -163,8 +161,12 @@ def test_a_recipe_among_earlier_ones_counts_too(tmp_path: Path) -> None:
         ExpertCollector(domains, RECIPE).check(path)
 
 
-def test_imported_demonstrations_are_taken_as_they_are(trajectory_file: Path) -> None:
-    ExpertCollector(tiny.domains(), RECIPE).check(trajectory_file)
+@pytest.mark.parametrize("provenance", [{"command": "import"}, {"experts": "a person", "recipe": "patience"}])
+def test_demonstrations_from_elsewhere_are_taken_as_they_are(tmp_path: Path, provenance: Mapping[str, str]) -> None:
+    path, domains = tmp_path / "a.hdf5", {"flat": Domain(LinearPoint(1, 3), LinearPointExpert())}
+    specs = [domain.simulator.spec(name) for name, domain in domains.items()]
+    write_trajectories(path, specs, LinearPoint(1, 3).tasks, made(LinearPointExpert(), job(1)), provenance)
+    ExpertCollector(domains, RECIPE).check(path)
 
 
 def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
