@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from datamodules.errors import ConfigError
 from datamodules.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.types import Batch, Demand
@@ -94,6 +95,11 @@ class FlatCloning(Phase[FlatPolicy]):
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
         lr_schedule: Of the learning rate; the paper names none.
+        domains: Whose demonstrations are learnt; of all domains if not given. One alone tells whether its
+            demonstrations can be cloned.
+
+    Raises:
+        ConfigError: If there is no such domain.
     """
 
     trains = FlatPolicy
@@ -107,13 +113,24 @@ class FlatCloning(Phase[FlatPolicy]):
         lr: float = 1e-4,
         weight_decay: float = 0.0,
         lr_schedule: Schedule = "constant",
+        domains: list[str] | None = None,
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
-        self.bc_reduction = bc_reduction
+        unknown = sorted({*(domains or [])} - policy.domains.keys())
+        if unknown or domains == []:
+            raise ConfigError(f"domains is {domains}; expected some of: {', '.join(policy.domains)}")
+        self.bc_reduction, self.learnt = bc_reduction, frozenset(policy.domains if domains is None else domains)
+
+    def _learnt_part(self, batch: Batch) -> Batch:
+        return batch._replace(transitions={d: s for d, s in batch.transitions.items() if d in self.learnt})
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Behavioural-cloning loss on held-out trajectories, for each domain that is learnt."""
+        super().validation_step(self._learnt_part(batch), batch_idx)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """The loss of one batch."""
-        steps = batch.transitions
+        steps = self._learnt_part(batch).transitions
         action = {domain: s.action for domain, s in steps.items()}
         loss = behavioural_cloning(self.predict(steps), action, self.bc_reduction)
         if self.logs_now:

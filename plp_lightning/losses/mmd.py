@@ -12,14 +12,16 @@ from torch.autograd.function import once_differentiable
 from plp_lightning.losses.distance import full_precision, inverse_distance
 
 
-def mmd(latents: Sequence[Tensor], scale_gradient: bool = True) -> Tensor:
+def mmd(latents: Sequence[Tensor], scale_gradient: bool = True, bandwidths: Sequence[float] = (1.0,)) -> Tensor:
     r"""Squared maximum mean discrepancy between domains, mean over all pairs of domains.
 
     .. math::
         L_{MMD} &= \mathbb{E} f(x, x') + \mathbb{E} f(y, y') - 2 \, \mathbb{E} f(x, y) \\
-        f(a, b) &= \exp(-\|a - b\|^2 / m^2)
+        f(a, b) &= \sum_h \exp(-\|a - b\|^2 / (h m)^2)
 
-    with m the mean distance between two different rows of the pooled batch, of all domains. Where the gradient
+    with m the mean distance between two different rows of the pooled batch, of all domains. A kernel sees gaps of about
+    its own width: with h = 1 alone two domains may lie side by side at half the mean distance, each place in another
+    direction, and the means over all places hardly differ; narrower kernels beside it see that. Where the gradient
     flows through m, scaling the latents changes nothing, so the loss can't be lowered by shrinking them; but a few
     rows that run far away raise m and with it f between all others, aligned or not. Where m counts as a constant,
     nothing is gained by that.
@@ -32,6 +34,7 @@ def mmd(latents: Sequence[Tensor], scale_gradient: bool = True) -> Tensor:
     Args:
         latents: One tensor ``(B_d, Z)`` for each of two or more domains; batch sizes may differ.
         scale_gradient: Let the gradient flow through m.
+        bandwidths: Widths h of the kernels, in mean distances, above 0.
 
     Returns:
         Scalar, at least 0 up to rounding; float32 whatever autocast says. Differentiable once.
@@ -48,7 +51,7 @@ def mmd(latents: Sequence[Tensor], scale_gradient: bool = True) -> Tensor:
         # Distances don't feel a shift, but the rounding of their matrix product does.
         centred = pooled - pooled.detach().mean(0)
         weights = pair_weights([size for size, _ in shapes], centred)
-        return cast("Tensor", _KernelSum.apply(centred, weights, scale_gradient))  # type: ignore[no-untyped-call]
+        return cast("Tensor", _KernelSum.apply(centred, weights, scale_gradient, bandwidths))  # type: ignore[no-untyped-call]
 
 
 def pair_weights(sizes: Sequence[int], like: Tensor) -> Tensor:
@@ -69,18 +72,18 @@ def pair_weights(sizes: Sequence[int], like: Tensor) -> Tensor:
 
 
 class _KernelSum(torch.autograd.Function):
-    """``sum_ij w_ij exp(-s_ij / m²)`` of the squared distances s between points, m the mean of their roots.
+    """``sum_h sum_ij w_ij exp(-s_ij / (h m)²)`` of the squared distances s between points, m the mean of their roots.
 
     Written out because automatic differentiation would cost a second matrix product (it doesn't know that s is
     symmetric) and twice the passes over ``(N, N)``:
 
-        dL/ds_ij = -k_ij / m² + r_ij / d_ij,  where k_ij = w_ij exp(-s_ij / m²)
+        dL/ds_ij = -k_ij / m² + r_ij / d_ij,  where k_ij = sum_h w_ij exp(-s_ij / (h m)²) / h²
         r = sum_ij k_ij s_ij / m³ / (N (N - 1)), or 0 where m counts as a constant
         dL/dx_i = 4 sum_j dL/ds_ij (x_i - x_j)
     """
 
     @staticmethod
-    def forward(ctx: Any, points: Tensor, weights: Tensor, scale_gradient: bool) -> Tensor:
+    def forward(ctx: Any, points: Tensor, weights: Tensor, scale_gradient: bool, bandwidths: Sequence[float]) -> Tensor:
         """Points ``(N, Z)``, centred; weights ``(N, N)``, symmetric."""
         product = points @ points.T
         norm = product.diagonal().clone()
@@ -91,18 +94,22 @@ class _KernelSum(torch.autograd.Function):
         # All points in one place: the kernel is 1 and the slope 0.
         scale = torch.where(mean > 0, 1 / mean, 0)
         ratio = squared.mul_(scale.square())
-        kernel = torch.exp(-ratio).mul_(weights)
+        total, kernel = torch.zeros_like(mean), torch.zeros_like(ratio)
+        for width in bandwidths:
+            narrowed = torch.exp(ratio * -(width**-2)).mul_(weights)
+            total += narrowed.sum()
+            kernel.add_(narrowed, alpha=width**-2)
         slope = (
             torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs if scale_gradient else torch.zeros_like(scale)
         )
         ctx.save_for_backward(points, kernel, inverse, scale, slope)
-        return kernel.sum()
+        return total
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None, None]:
         """Gradient with respect to the points."""
         points, kernel, inverse, scale, slope = ctx.saved_tensors
         squared_grad = torch.addcmul(kernel * -scale.square(), inverse, slope)
         row = squared_grad.sum(1, keepdim=True)
-        return 4 * grad * (row * points - squared_grad @ points), None, None
+        return 4 * grad * (row * points - squared_grad @ points), None, None, None

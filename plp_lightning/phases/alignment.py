@@ -37,6 +37,7 @@ class Alignment(Phase[PortablePolicy]):
         reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
         mmd_scale_gradient: Let MMD's gradient flow through the mean distance that it divides by. Without, a few latent
             states can't lower the loss by running away from all others.
+        mmd_bandwidths: Widths of MMD's kernels, in mean distances; the paper has one of 1.
         bc_reduction: Of behavioural cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         reconstruction_halvings: How often images are halved before; each makes the image decoder, the costliest part
             of a step with images, a layer shorter.
@@ -61,6 +62,7 @@ class Alignment(Phase[PortablePolicy]):
         reconstruction_weight: float = 1.0,
         reconstruction_halvings: int = 0,
         mmd_scale_gradient: bool = True,
+        mmd_bandwidths: Sequence[float] = (1.0,),
         bc_reduction: Literal["mean", "sum"] = "mean",
         tcc_similarity: Literal["distance", "squared", "scaled"] = "distance",
         discriminator_layers: int = 4,
@@ -77,7 +79,9 @@ class Alignment(Phase[PortablePolicy]):
             "adversarial": adversarial_weight,
             "reconstruction": reconstruction_weight,
         }
-        self.mmd_scale_gradient = mmd_scale_gradient
+        if not mmd_bandwidths or min(mmd_bandwidths) <= 0:
+            raise ConfigError(f"mmd_bandwidths is {[*mmd_bandwidths]}; expected one or more widths above 0")
+        self.mmd_scale_gradient, self.mmd_bandwidths = mmd_scale_gradient, tuple(mmd_bandwidths)
         self.terms, self.bc_reduction, self.tcc_similarity = tuple(terms), bc_reduction, tcc_similarity
         self.demand = Demand(pairs="thinned" if "tcc" in terms else "none")
         self.discriminator = (
@@ -127,7 +131,7 @@ class Alignment(Phase[PortablePolicy]):
         """Terms that compare the domains' latent distributions."""
         parts: dict[str, Tensor] = {}
         if "mmd" in self.terms:
-            parts["mmd"] = mmd(latents, self.mmd_scale_gradient)
+            parts["mmd"] = mmd(latents, self.mmd_scale_gradient, self.mmd_bandwidths)
         if self.discriminator is not None:
             # Each loss reaches one player only, so one optimiser step serves both.
             parts["discriminator"] = discrimination(self.discriminator, latents)

@@ -134,6 +134,27 @@ def test_the_loss_is_the_mean_over_samples_of_squared_errors(reduction: str, tra
     assert loss.item() == pytest.approx(sum(errors) / len(errors), rel=1e-5)
 
 
+def test_a_clone_of_one_domain_learns_from_its_demonstrations_alone(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = Quiet(flat(data), domains=["tall"])
+    batch = next(iter(data.loader(phase.demand)))
+    assert set(batch.transitions) == {"flat", "tall"}
+    alone = batch._replace(transitions={"tall": batch.transitions["tall"]})
+    assert torch.equal(phase.training_step(batch, 0), Quiet(phase.policy).training_step(alone, 0))
+    trainer = make_trainer(epochs=1)
+    trainer.fit(phase, datamodule=data)
+    assert "val/bc_tall" in trainer.callback_metrics
+    assert "val/bc_flat" not in trainer.callback_metrics
+
+
+@pytest.mark.parametrize("domains", [["round"], []])
+def test_a_clone_needs_a_domain_that_exists(domains: list[str], trajectory_file: Path) -> None:
+    with pytest.raises(ConfigError, match=r"domains is \[.*\]; expected some of: flat, tall"):
+        FlatCloning(flat(tiny.data_module(trajectory_file)), domains=domains)
+
+
 def test_adaptation_changes_all_weights_and_leaves_the_scaling(
     trajectory_file: Path, make_trainer: Callable[..., Trainer]
 ) -> None:

@@ -14,14 +14,15 @@ from plp_lightning.losses import mmd
 from plp_lightning.losses.mmd import pair_weights
 
 
-def by_loops(latents: Sequence[Tensor]) -> float:
+def by_loops(latents: Sequence[Tensor], bandwidth: float = 1.0) -> float:
     """The paper's formula, one pair of rows after the other."""
     rows = [latent.tolist() for latent in latents]
     pooled = [row for domain in rows for row in domain]
     mean = sum(math.dist(a, b) for a, b in combinations(pooled, 2)) / math.comb(len(pooled), 2)
 
     def expectation(xs: list[list[float]], ys: list[list[float]]) -> float:
-        return sum(math.exp(-((math.dist(x, y) / mean) ** 2)) for x in xs for y in ys) / (len(xs) * len(ys))
+        width = bandwidth * mean
+        return sum(math.exp(-((math.dist(x, y) / width) ** 2)) for x in xs for y in ys) / (len(xs) * len(ys))
 
     pairs = [expectation(x, x) + expectation(y, y) - 2 * expectation(x, y) for x, y in combinations(rows, 2)]
     return sum(pairs) / len(pairs)
@@ -66,6 +67,23 @@ def test_two_points_each_by_hand() -> None:
 def test_equals_the_formula_by_loops(sizes: tuple[int, ...]) -> None:
     latents = normal(*sizes)
     assert mmd(latents).item() == pytest.approx(by_loops(latents), rel=1e-10)
+
+
+def test_several_bandwidths_add_up() -> None:
+    latents, bandwidths = normal(4, 2, 3), (1.0, 0.5, 0.2)
+    expected = sum(by_loops(latents, bandwidth) for bandwidth in bandwidths)
+    assert mmd(latents, bandwidths=bandwidths).item() == pytest.approx(expected, rel=1e-10)
+
+
+def test_narrow_kernels_see_a_gap_that_changes_its_direction_from_place_to_place() -> None:
+    places = 6 * torch.rand(1000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    gap = 1 - 2 * (places.floor().sum(1, keepdim=True) % 2)  # up or down like the fields of a chessboard
+    above, below = (
+        torch.cat([half, side * gap[i::2]], dim=1)
+        for i, (side, half) in enumerate([(0.5, places[::2]), (-0.5, places[1::2])])
+    )
+    wide, narrow = (mmd([above, below], bandwidths=[bandwidth]).item() for bandwidth in (1.0, 0.25))
+    assert narrow > 5 * wide
 
 
 @given(
@@ -147,10 +165,11 @@ def test_a_row_gains_nothing_by_running_away_if_the_scale_is_constant() -> None:
     assert runaway(scale_gradient=False) == pytest.approx(0, abs=1e-8)
 
 
+@pytest.mark.parametrize("bandwidths", [(1.0,), (1.0, 0.3)])
 @pytest.mark.parametrize("sizes", [(4, 3), (2, 3, 2)])
-def test_gradient_by_finite_differences(sizes: tuple[int, ...]) -> None:
+def test_gradient_by_finite_differences(sizes: tuple[int, ...], bandwidths: tuple[float, ...]) -> None:
     leaves = [latent.requires_grad_() for latent in normal(*sizes)]
-    assert torch.autograd.gradcheck(lambda *latents: mmd(latents), leaves)
+    assert torch.autograd.gradcheck(lambda *latents: mmd(latents, bandwidths=bandwidths), leaves)
 
 
 def offset(latent: Tensor) -> Tensor:

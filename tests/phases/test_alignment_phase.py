@@ -9,6 +9,7 @@ import torch
 from lightning.pytorch import Trainer
 from torch import Tensor
 
+from datamodules.errors import ConfigError
 from datamodules.types import Batch, Demand
 from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, tcc
 from plp_lightning.phases import Alignment
@@ -138,3 +139,18 @@ def test_alignment_learns_and_changes_all_parts(trajectory_file: Path, make_trai
     policies = (phase.policy, tiny.policy(data))
     trained, untrained = (separate_losses(Alignment(policy, []), batch)["bc"].item() for policy in policies)
     assert trained < 0.5 * untrained
+
+
+@pytest.mark.parametrize("bandwidths", [[], [1.0, 0.0]])
+def test_kernels_have_a_width(bandwidths: list[float], trajectory_file: Path) -> None:
+    with pytest.raises(ConfigError, match=r"mmd_bandwidths is \[.*\]; expected one or more widths above 0"):
+        Alignment(tiny.policy(tiny.data_module(trajectory_file)), ["mmd"], mmd_bandwidths=bandwidths)
+
+
+def test_mmd_has_the_kernels_asked_for(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    policy, batch = tiny.policy(data), next(iter(data.loader(Demand("proxies"))))
+    latents = [*policy.encode({d: s.observation for d, s in batch.transitions.items()}).values()]
+    found = Recorded(policy, ["mmd"], mmd_bandwidths=[1.0, 0.2])
+    found.training_step(batch, 0)
+    torch.testing.assert_close(found.parts["mmd"], mmd(latents, bandwidths=[1.0, 0.2]))
