@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -49,6 +49,7 @@ class StateOnlyAlignment(Alignment):
         adversarial_weight: Weight of the encoder's loss against the discriminator.
         reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
         reconstruction_halvings: How often images are halved before.
+        mmd_bandwidths: Widths of MMD's kernels, in mean distances.
         next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         lr: Learning rate of AdamW.
@@ -70,6 +71,7 @@ class StateOnlyAlignment(Alignment):
         adversarial_weight: float = 0.1,
         reconstruction_weight: float = 1.0,
         reconstruction_halvings: int = 0,
+        mmd_bandwidths: Sequence[float] = (1.0,),
         next_reduction: Reduction = "mean",
         epochs: int = 100,
         lr: float = 1e-4,
@@ -84,6 +86,7 @@ class StateOnlyAlignment(Alignment):
             adversarial_weight,
             reconstruction_weight,
             reconstruction_halvings,
+            mmd_bandwidths=mmd_bandwidths,
             epochs=epochs,
             lr=lr,
             weight_decay=weight_decay,
