@@ -76,6 +76,7 @@ def accuracy(title: str, latents: Sequence[Tensor]) -> None:
 def compare_mmd(latents: list[Tensor]) -> None:
     ways: dict[str, Callable[[], Tensor]] = {
         "mmd": lambda: mmd(latents),
+        "mmd, three kernels": lambda: mmd(latents, bandwidths=(1.0, 0.5, 0.25)),
         "cdist, exact": lambda: mmd_by_cdist(latents, EXACT),
         "cdist, matrix product": lambda: mmd_by_cdist(latents, PRODUCT),
     }
