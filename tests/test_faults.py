@@ -68,6 +68,8 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--data.held_out 1", "--data.held_out is 1.0; expected a share below 1"),
         ("--evaluation.final_episodes 0", "--evaluation.final_episodes is 0; expected at least 1"),
         ("--trainer.accelerator warp", "trainer: "),
+        ("--policy.encoder_state [colour]", "encoder_state names 'colour'; expected state keys: "),
+        ("--alignment.mmd_bandwidths [0.5,-1]", "mmd_bandwidths is [0.5, -1.0]; expected one or more widths above 0"),
         ("--method ../../elsewhere", "method is '../../elsewhere'; expected up to 64 letters"),
         ("--experiment ..", "experiment is '..'; expected up to 64 letters"),
     ],

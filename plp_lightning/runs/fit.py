@@ -17,6 +17,7 @@ from lightning.pytorch import Callback, Trainer, seed_everything
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from datamodules.errors import CheckpointError, ConfigError
+from datamodules.problem import TransferProblem
 from plp_lightning.base_policy import Policy
 from plp_lightning.callbacks.alignment_score import AlignmentMetrics
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
@@ -119,6 +120,19 @@ def check_trainer(experiment: Experiment) -> None:
         Trainer(**experiment.trainer, logger=False, enable_checkpointing=False, enable_progress_bar=False)
     except (MisconfigurationException, ValueError) as error:
         raise ConfigError(f"trainer: {error}; mend this --trainer option") from None
+
+
+def check_method(experiment: Experiment) -> None:
+    """Find out whether the policy and all phases can be built, before minutes are spent on collecting demonstrations.
+
+    Raises:
+        ConfigError: If one of their settings doesn't suit the domains.
+    """
+    specs = [simulator.spec(name) for name, simulator in experiment.simulators.items()]
+    data = experiment.data
+    policy = experiment.policy(TransferProblem(specs, data.tasks, data.source_domain, data.target_domain))
+    for build in experiment.phases.values():
+        build(policy)
 
 
 def build_trainer(

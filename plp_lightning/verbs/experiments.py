@@ -15,7 +15,7 @@ from datamodules.errors import ConfigError
 from plp_lightning.experiment import Experiment
 from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
 from plp_lightning.runs.directory import RunDirectory
-from plp_lightning.runs.fit import check_trainer, fit
+from plp_lightning.runs.fit import check_method, check_trainer, fit
 from plp_lightning.runs.results import print_results, print_success
 from plp_lightning.verbs.config import build_parser, option_values, parse, phase_names
 from plp_lightning.verbs.options import OptionParser, positive
@@ -46,6 +46,7 @@ def _begin(experiment: Experiment, phase: str | None, origin: str | None) -> Non
     if origin is not None:
         _check_origin(experiment, Path(origin))
     check_trainer(experiment)
+    check_method(experiment)
     # Absolute, so that the run can be resumed from anywhere.
     plan = {"wanted": wanted, "origin": None if origin is None else str(Path(origin).resolve())}
     _fit(experiment, RunDirectory.create(experiment.run_path, experiment.config, _environment(), plan))
