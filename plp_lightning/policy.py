@@ -118,6 +118,16 @@ class PortablePolicy(AligningPolicy):
             None if self.image_shape is None else ImageEncoder(self.image_shape, image_channels, image_features)
         )
 
+    def perceive(self, observation: Observations) -> Observations:
+        """Observations for both encoder and decoder: if both see images, with features ``(B_d, F)`` in their place.
+
+        So the image encoder, the costliest part, looks once. States stay as they are.
+        """
+        if self.image_encoder is None or not self.decoder_sees_images:
+            return observation
+        features = _split(see(self.image_encoder, observation, self.cameras), observation)
+        return {d: obs._replace(image=features[d] if d in self.cameras else None) for d, obs in observation.items()}
+
     def encode(self, observation: Observations) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
         inputs = self.states.join({d: self._pick(obs, d, self.state_columns) for d, obs in observation.items()})
@@ -143,8 +153,9 @@ class PortablePolicy(AligningPolicy):
 
     def forward(self, observation: Observations, task: Parts) -> Forward:
         """ψ(π_z(φ(s, d), k), s, d) for the rows of every domain."""
-        latent = self.encode(observation)
-        return Forward(latent, self.decode(self.plan(latent, task), observation))
+        perceived = self.perceive(observation)
+        latent = self.encode(perceived)
+        return Forward(latent, self.decode(self.plan(latent, task), perceived))
 
     def decide(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
         """The actions of :meth:`forward`."""

@@ -14,7 +14,7 @@ from plp_lightning import collect
 from plp_lightning.collect import Job, Recipe, demonstrate
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.synthetic import LinearPointExpert, SeenPoint
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.policy import DecoderState, PortablePolicy
 
 TASKS = SeenPoint(1).tasks
 TARGET = "blue"
@@ -66,7 +66,9 @@ def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 3
     )
 
 
-def policy(data: TransferDataModule) -> PortablePolicy:
+def policy(data: TransferDataModule, decoder_state: DecoderState = "none") -> PortablePolicy:
     """A small policy for the domains of ``data``, always with the same weights."""
     torch.manual_seed(0)
-    return PortablePolicy(data.problem, latent=8, hidden=16, image_channels=[4, 6], image_features=12)
+    return PortablePolicy(
+        data.problem, latent=8, hidden=16, image_channels=[4, 6], image_features=12, decoder_state=decoder_state
+    )

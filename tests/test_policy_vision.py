@@ -65,8 +65,9 @@ def test_the_vector_of_the_image_joins_the_scaled_state_and_the_domain() -> None
         torch.testing.assert_close(policy.encode(observation)[spec.name], by_hand)
 
 
-def test_all_domains_are_looked_at_in_one_pass() -> None:
-    policy, seen = build(LEFT, RIGHT), []
+@pytest.mark.parametrize("decoder_state", ["none", "all"])
+def test_all_domains_are_looked_at_in_one_pass(decoder_state: str) -> None:
+    policy, seen = build(LEFT, RIGHT, decoder_state=decoder_state), []
     assert policy.image_encoder is not None
     policy.image_encoder.register_forward_hook(lambda module, args, out: seen.append(tuple(args[0].shape)))
     policy(*inputs(LEFT, RIGHT))

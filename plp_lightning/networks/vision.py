@@ -164,7 +164,7 @@ def see(encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]], c
 
     Args:
         encoder: Makes F features of an image.
-        observation: By domain, images ``(B_d, H, W, C)`` uint8 or None.
+        observation: By domain, images ``(B_d, H, W, C)`` uint8 or None; or what was made of them before, ``(B_d, F)``.
         cameras: Domains that have one.
     """
     size = encoder.linear.out_features
@@ -174,6 +174,7 @@ def see(encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]], c
     assert expected == [*images], f"images of {[*images]}, but cameras in {expected}"
     if not images:
         return torch.cat([*blank.values()])
-    features = encoder(torch.cat([*images.values()]))
+    joined = torch.cat([*images.values()])
+    features = joined if joined.is_floating_point() else encoder(joined)
     found = dict(zip(images, features.split([len(image) for image in images.values()]), strict=True))
     return torch.cat([*(blank | found).values()])

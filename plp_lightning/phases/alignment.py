@@ -94,9 +94,11 @@ class Alignment(Phase[PortablePolicy]):
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Total loss of one batch, from a single pass through the encoder."""
         steps, pairs = batch.transitions, batch.pairs
-        encoded = self.policy.encode({d: _with_frames(s.observation, pairs.get(d)) for d, s in steps.items()})
+        seen = self.policy.perceive({d: _with_frames(s.observation, pairs.get(d)) for d, s in steps.items()})
+        encoded = self.policy.encode(seen)
         latent = {domain: encoded[domain][: len(s.action)] for domain, s in steps.items()}
-        parts = self.imitation_terms(latent, steps) | self._alignment_terms(list(latent.values()))
+        perceived = {d: s._replace(observation=seen[d].take(slice(len(s.action)))) for d, s in steps.items()}
+        parts = self.imitation_terms(latent, perceived) | self._alignment_terms(list(latent.values()))
         if self.image_decoder is not None:
             images = {domain: s.observation.image for domain, s in steps.items() if s.observation.image is not None}
             parts["reconstruction"] = reconstruction(self.reconstruct({d: latent[d] for d in images}), images)
@@ -113,7 +115,7 @@ class Alignment(Phase[PortablePolicy]):
 
         Args:
             latent: Latent states ``(B_d, Z)`` by domain.
-            steps: What they are the states of.
+            steps: What they are the states of, perceived.
         """
         plan = self.policy.plan(latent, {domain: s.task for domain, s in steps.items()})
         action = self.policy.decode(plan, {domain: s.observation for domain, s in steps.items()})

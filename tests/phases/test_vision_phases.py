@@ -19,7 +19,7 @@ from plp_lightning.callbacks.checkpointing import RandomState, best_and_last
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.losses import behavioural_cloning, mmd, reconstruction, tcc
 from plp_lightning.phases import Adaptation, Alignment
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.policy import DecoderState, PortablePolicy
 
 
 class Recorded(Alignment):
@@ -46,26 +46,32 @@ def looks(phase: Alignment | Adaptation) -> list[int]:
     return counts
 
 
-def align(data: TransferDataModule, terms: list[str], weight: float = 0.5) -> Recorded:
+def align(
+    data: TransferDataModule, terms: list[str], weight: float = 0.5, decoder_state: DecoderState = "none"
+) -> Recorded:
     torch.manual_seed(1)
-    return Recorded(seen.policy(data), terms, 0.3, 0.7, reconstruction_weight=weight, lr=1e-3)  # type: ignore[arg-type]
+    return Recorded(seen.policy(data, decoder_state), terms, 0.3, 0.7, reconstruction_weight=weight, lr=1e-3)  # type: ignore[arg-type]
 
 
-def test_one_pass_over_all_images_gives_the_losses_of_separate_passes(seen_file: Path) -> None:
+@pytest.mark.parametrize("decoder_state", ["none", "all"])
+def test_one_pass_over_all_images_gives_the_losses_of_separate_passes(
+    decoder_state: DecoderState, seen_file: Path
+) -> None:
     data = seen.data_module(seen_file)
-    phase = align(data, ["mmd", "tcc"])
+    phase = align(data, ["mmd", "tcc"], decoder_state=decoder_state)
     batch, counts = next(iter(data.loader(Demand(pairs="thinned")))), looks(phase)
     total = phase.training_step(batch, 0)
     frames = sum(len(s.observation.state) for s in batch.pairs.values())
     assert counts == [32 + frames]
     policy, steps = phase.policy, batch.transitions
-    out = {d: policy({d: s.observation}, {d: s.task}) for d, s in steps.items()}
-    latent = {d: out[d].latent[d] for d in steps}
+    latent = {d: policy.encode({d: s.observation})[d] for d, s in steps.items()}
+    plan = policy.plan(latent, {d: s.task for d, s in steps.items()})
+    action = policy.decode(plan, {d: s.observation for d, s in steps.items()})
     assert phase.image_decoder is not None
     memory = {d: phase.image_decoder(latent[d], torch.full((16,), i)) for i, d in enumerate(steps)}
     (u, of_u), (v, of_v) = ((policy.encode({d: s.observation})[d], s) for d, s in batch.pairs.items())
     expected = {
-        "bc": behavioural_cloning({d: out[d].action[d] for d in steps}, {d: s.action for d, s in steps.items()}),
+        "bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}),
         "mmd": mmd([*latent.values()]),
         "reconstruction": reconstruction(memory, {d: s.observation.image for d, s in steps.items()}),  # type: ignore[misc]
         "tcc": tcc(u[of_u.frame], of_u.mask, v[of_v.frame], of_v.mask),
