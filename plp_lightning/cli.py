@@ -41,6 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if words[0] == "--version":
         print(f"plp {installed_version()}")
         return
+    way_on = "plp fit --resume RUN_DIR" if words[0] == "fit" else "the same command"
     # Several runs at once must not fight for cores; set before any library starts its threads.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     try:
@@ -52,13 +53,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"plp: {describe(error)}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("plp: stopped; go on with plp fit --resume RUN_DIR", file=sys.stderr)
+        print(f"plp: stopped; go on with {way_on}", file=sys.stderr)
         sys.exit(130)
     except Exception as error:
         # Asked to stop by a signal: the state is saved, and a scheduler reads the exit code.
         if not hasattr(error, "exit_code"):
             raise
-        print(f"plp: {error}; go on with plp fit --resume RUN_DIR", file=sys.stderr)
+        print(f"plp: {error}; go on with {way_on}", file=sys.stderr)
         sys.exit(error.exit_code)
 
 

@@ -88,13 +88,22 @@ class ExpertCollector:
         self.domains, self.recipe = domains, recipe
 
     def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
-        """Add ``missing[domain][task]`` demonstrations to the file at ``path``."""
+        """Add ``missing[domain][task]`` demonstrations to the file at ``path``; if interrupted, those made so far."""
         without = [name for name in missing if self.domains[name].expert is None]
         if without:
             raise UserError(f"domain {without[0]!r} has no expert; add one or import demonstrations into {path}")
         first = next(iter(self.domains.values())).simulator
         specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
-        add_trajectories(path, specs, first.tasks, list(self._collect(self._jobs(path, missing))), self._provenance())
+        made: list[Trajectory] = []
+        try:
+            for trajectory in self._collect(self._jobs(path, missing)):
+                made.append(trajectory)
+        except UserError:
+            made.clear()  # settings will have to change, and a file holds demonstrations of one recipe
+            raise
+        finally:
+            if made:
+                add_trajectories(path, specs, first.tasks, made, self._provenance())
 
     def check(self, path: Path) -> None:
         """Refuse a file whose demonstrations another recipe made: who changes a setting means to see its effect.

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +14,11 @@ from datamodules.errors import UserError
 from datamodules.hdf5 import TrajectoryFile, write_trajectories
 from datamodules.types import Observation, Trajectory
 from plp_lightning import collect
+from plp_lightning.callbacks.preemption import PreemptedError
 from plp_lightning.collect import ExpertCollector, Job, Recipe, demonstrate
 from plp_lightning.envs.base import Domain, Expert, Simulator
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
+from plp_lightning.progress import JobProgress
 from plp_lightning.seeding import episode_seed
 
 RECIPE = Recipe(processes=1, noise=0.2)
@@ -88,6 +91,23 @@ def test_growing_a_file_gives_what_collecting_at_once_gives(tmp_path: Path) -> N
     collected(tmp_path / "grown.hdf5", {"flat": {"goal_0": 2}}, 1)
     grown = collected(tmp_path / "grown.hdf5", {"flat": {"goal_0": 3}}, 1)
     assert grown == collected(tmp_path / "once.hdf5", {"flat": {"goal_0": 5}}, 1)
+
+
+def test_an_interruption_keeps_the_tasks_that_are_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    advance, missing = collect.JobProgress.advance, {"flat": {"goal_0": 2, "goal_1": 2, "goal_3": 2}}
+
+    def stop_at_the_third(self: JobProgress, count: int = 1, note: str = "") -> None:
+        if note.endswith("goal_3"):
+            raise PreemptedError(signal.SIGTERM)
+        advance(self, count, note)
+
+    monkeypatch.setattr(collect.JobProgress, "advance", stop_at_the_third)
+    with pytest.raises(PreemptedError):
+        collected(tmp_path / "stopped.hdf5", missing, 1)
+    monkeypatch.undo()
+    assert [task for _, task, *_ in content(tmp_path / "stopped.hdf5")] == ["goal_0"] * 2 + ["goal_1"] * 2
+    gone_on = collected(tmp_path / "stopped.hdf5", {"flat": {"goal_3": 2}}, 1)
+    assert gone_on == collected(tmp_path / "once.hdf5", missing, 1)
 
 
 def test_many_known_demonstrations_are_no_failed_attempts() -> None:

@@ -17,6 +17,7 @@ from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_a
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.fit import check_method, check_trainer, fit
 from plp_lightning.runs.results import print_results, print_success
+from plp_lightning.runs.stopping import stoppable
 from plp_lightning.verbs.config import build_parser, option_values, parse, phase_names
 from plp_lightning.verbs.options import OptionParser, positive
 from plp_lightning.verbs.training import train_expert
@@ -112,7 +113,8 @@ def run_collect(arguments: Sequence[str]) -> None:
         _train_expert(experiment, options)
         return
     missing = sum(sum(tasks.values()) for tasks in experiment.data.missing().values())
-    experiment.data.prepare_data()
+    with stoppable():
+        experiment.data.prepare_data()
     print(
         f"{experiment.data.path}: {missing} demonstrations collected"
         if missing
