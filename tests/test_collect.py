@@ -94,14 +94,14 @@ def test_growing_a_file_gives_what_collecting_at_once_gives(tmp_path: Path) -> N
 
 
 def test_an_interruption_keeps_the_tasks_that_are_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    advance, missing = collect.JobProgress.advance, {"flat": {"goal_0": 2, "goal_1": 2, "goal_3": 2}}
+    advance, missing = JobProgress.advance, {"flat": {"goal_0": 2, "goal_1": 2, "goal_3": 2}}
 
     def stop_at_the_third(self: JobProgress, count: int = 1, note: str = "") -> None:
         if note.endswith("goal_3"):
             raise PreemptedError(signal.SIGTERM)
         advance(self, count, note)
 
-    monkeypatch.setattr(collect.JobProgress, "advance", stop_at_the_third)
+    monkeypatch.setattr(JobProgress, "advance", stop_at_the_third)
     with pytest.raises(PreemptedError):
         collected(tmp_path / "stopped.hdf5", missing, 1)
     monkeypatch.undo()
