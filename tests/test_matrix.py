@@ -16,18 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command import METHODS, ROOT, TINY, complaint, plp
+from command import METHODS, TINY, plp
 from test_configs import EXPERIMENTS, invent_demonstrations
 
 from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.envs.tabletop.simulator import Tabletop
 from plp_lightning.verbs.config import parse
 
-IMPOSSIBLE = {
-    ("cdil", "v2v_open"): "CdilPolicy translates state vectors, but domain 'rear' has a camera",
-    ("cdil", "v2v_reach"): "CdilPolicy translates state vectors, but domain 'left' has a camera",
-}
-"""What a method answers that cannot run on an experiment, by the names of both."""
 SMALL_EYES = "policy: {init_args: {image_channels: [4, 8], image_features: 16}}\n"
 CUT = [*((m, "p2p_umaze") for m in (path.stem for path in METHODS)), *(("plp", path.stem) for path in EXPERIMENTS)]
 
@@ -36,9 +31,8 @@ def pairs() -> Iterator[Any]:
     """Method and experiment of each test; those beyond the cut are marked."""
     for method, experiment in itertools.product(METHODS, EXPERIMENTS):
         names = method.stem, experiment.stem
-        if names not in IMPOSSIBLE:
-            marks = [] if names in CUT else [pytest.mark.matrix]
-            yield pytest.param(method, experiment, id="-".join(names), marks=marks)
+        marks = [] if names in CUT else [pytest.mark.matrix]
+        yield pytest.param(method, experiment, id="-".join(names), marks=marks)
 
 
 @functools.cache
@@ -103,10 +97,3 @@ def test_every_method_runs_stops_resumes_and_is_tested_on_every_experiment(
     assert answer.code == 0, answer
     told = json.loads((tmp_path / "test.json").read_text())["trials"]
     assert {name: found["success"] for name, found in told.items()} == {n: f["success"] for n, f in trials.items()}
-
-
-@pytest.mark.parametrize("names", [*IMPOSSIBLE], ids="-".join)
-def test_what_is_impossible_is_told_in_one_line(names: tuple[str, str], tmp_path: Path) -> None:
-    method, experiment = (ROOT / "configs" / "methods" / f"{names[0]}.yaml", ROOT / "configs" / f"{names[1]}.yaml")
-    words = with_data(miniature(method, experiment, tmp_path), experiment, tmp_path)
-    assert IMPOSSIBLE[names] in complaint("fit", *words)

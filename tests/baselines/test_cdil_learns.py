@@ -71,7 +71,7 @@ def errors(policy: CdilPolicy, data: TransferDataModule, tasks: tuple[str, ...])
     partner = simulator("flat").shared_position(state) @ there.lift.T + there.shift
     with torch.no_grad():
         translated = policy.encode({"flat": tiny.observe(state)})["flat"]
-        return (translated - policy.scaler(tiny.observe(partner).state, "tall")).square().mean(1).sqrt()
+        return (translated - policy.perception.scaler(tiny.observe(partner).state, "tall")).square().mean(1).sqrt()
 
 
 @pytest.mark.parametrize("tasks", [tiny.PROXIES, (tiny.TARGET,)], ids=["proxies", "target task"])
@@ -84,7 +84,7 @@ def test_translated_states_are_near_their_true_partners(
 
 def test_there_and_back_is_where_it_began(learned: CdilPolicy, data: TransferDataModule) -> None:
     for domain, role in learned.roles.items():
-        state = learned.scaler(data.tables[domain].observation.state, domain)
+        state = learned.perception.scaler(data.tables[domain].observation.state, domain)
         with torch.no_grad():
             there = learned.translator(state, role)
             back = learned.translator(there.state, "target" if role == "source" else "source")
@@ -96,7 +96,7 @@ def test_inverse_dynamics_know_the_actions_that_were_never_learned_from(
 ) -> None:
     steps = data.tables["tall"].take(torch.from_numpy(data.rows(data.proxies, "held_out")["tall"]), course=True)
     assert steps.course is not None
-    now, following = (learned.scaler(x.state, "tall") for x in (steps.observation, steps.course.following))
+    now, following = (learned.perception.scaler(x.state, "tall") for x in (steps.observation, steps.course.following))
     with torch.no_grad():
         error = (learned.infer(now, following) - steps.action)[~steps.course.last]
     assert error.square().mean() < 0.02

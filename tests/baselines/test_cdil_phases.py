@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import seen
 import tiny
 import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Batch, Demand, Transitions
+from datamodules.types import Batch, Demand
 from plp_lightning.baselines import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions
 from plp_lightning.baselines.cdil.alignment import slowed
 from plp_lightning.baselines.cdil.networks import TaskNetwork
@@ -20,8 +21,8 @@ from plp_lightning.phases import Phase
 
 PHASES = (CdilPositions, CdilAlignment, CdilDynamics, CdilAdaptation)
 TRAINED = {
-    CdilPositions: {"positions", "pace"},
-    CdilAlignment: {"translator"},
+    CdilPositions: {"positions", "perception"},
+    CdilAlignment: {"translator", "pace"},
     CdilDynamics: {"inverse_dynamics"},
     CdilAdaptation: {"clones"},
 }
@@ -63,7 +64,11 @@ def gradients(loss: Tensor, module: nn.Module) -> float:
 @pytest.mark.parametrize("kind", PHASES, ids=lambda kind: kind.__name__)
 def test_a_phase_freezes_what_it_does_not_train(kind: type[CdilPhase], policy: CdilPolicy) -> None:
     children = {name for name, _ in policy.named_children()}
-    assert set(kind(policy).frozen) == children - TRAINED[kind]  # type: ignore[call-arg]
+    assert set(kind(policy).frozen) - {"scaler"} == children - TRAINED[kind]  # type: ignore[call-arg]
+
+
+def test_the_scaling_is_frozen_even_where_the_rest_of_perception_learns(policy: CdilPolicy) -> None:
+    assert CdilPositions(policy).frozen["scaler"] is policy.perception.scaler
 
 
 @pytest.mark.parametrize("kind", PHASES, ids=lambda kind: kind.__name__)
@@ -75,7 +80,7 @@ def test_the_losses_of_a_phase_teach_what_it_trains_and_hold_out_comparable_ones
     parts = phase.losses(first_batch(data, phase.demand))
     total = torch.stack([*parts.values()]).sum()
     taught = {name for name, part in policy.named_children() if [*part.parameters()] and gradients(total, part) > 0}
-    assert taught >= TRAINED[kind] - {"pace"}
+    assert taught >= TRAINED[kind] - {"pace", "perception"}
     held_out = [phase.held_out_losses(batch) for batch in data.val_dataloader()]
     assert all(set(found) <= set(parts) for found in held_out)
     assert any(held_out)
@@ -89,21 +94,22 @@ def test_positions_are_regressed_to_the_share_that_lies_behind(data: TransferDat
         steps = batch.transitions[domain]
         assert steps.course is not None
         for i, progress in enumerate(steps.course.progress.tolist()):
-            state = policy.scaler(steps.observation.state[i : i + 1], domain)
+            state = policy.perception.scaler(steps.observation.state[i : i + 1], domain)
             errors.append((policy.position(state, steps.task[i : i + 1], role).item() - progress) ** 2)
     assert phase.losses(batch)["position"].item() == pytest.approx(float(np.mean(errors)), rel=1e-4)
 
 
 def test_inverse_dynamics_learn_from_target_steps_that_show_their_result(
-    data: TransferDataModule, policy: CdilPolicy
+    data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     phase = CdilDynamics(policy)
+    begin(phase, data, monkeypatch)
     batch = first_batch(data, phase.demand)
     steps = batch.transitions["tall"]
     assert steps.course is not None
     kept = ~steps.course.last
     assert 0 < kept.sum() < len(kept)
-    now, then = (policy.scaler(x.state, "tall")[kept] for x in (steps.observation, steps.course.following))
+    now, then = (policy.perception.scaler(x.state, "tall")[kept] for x in (steps.observation, steps.course.following))
     expected = (policy.infer(now, then) - steps.action[kept]).square().mean()
     torch.testing.assert_close(phase.losses(batch)["inverse_dynamics"], expected)
     assert phase.held_out_losses(Batch({"flat": batch.transitions["flat"]}, {})) == {}
@@ -111,15 +117,6 @@ def test_inverse_dynamics_learn_from_target_steps_that_show_their_result(
 
 def of_task(batch: Batch, policy: CdilPolicy, domain: str, names: Sequence[str]) -> Tensor:
     return torch.isin(batch.transitions[domain].task, torch.tensor([policy.tasks[name] for name in names]))
-
-
-def moved(steps: Transitions, rows: Tensor) -> Transitions:
-    """The steps with other states at ``rows``."""
-    assert steps.course is not None
-    shift = rows.float()[:, None] * 0.3
-    following = steps.course.following._replace(state=steps.course.following.state + shift)
-    seen = steps.observation._replace(state=steps.observation.state + shift)
-    return steps._replace(observation=seen, course=steps.course._replace(following=following))
 
 
 def test_the_target_task_takes_part_in_both_cycles_and_in_nothing_else(
@@ -131,8 +128,9 @@ def test_the_target_task_takes_part_in_both_cycles_and_in_nothing_else(
     rows = of_task(batch, policy, "flat", [tiny.TARGET])
     assert 0 < rows.sum() < len(rows)
     assert not of_task(batch, policy, "tall", [tiny.TARGET]).any()
-    changed = Batch(batch.transitions | {"flat": moved(batch.transitions["flat"], rows)}, {})
-    before, after = phase.losses(batch), phase.losses(changed)
+    before = phase.losses(batch)
+    phase.states["flat"][batch.transitions["flat"].row[rows]] += 0.3
+    after = phase.losses(batch)
     assert {name for name in before if not torch.equal(before[name], after[name])} == {"cycle", "latent"}
 
 
@@ -220,7 +218,7 @@ def test_the_target_clone_learns_translated_steps_of_the_target_task_and_own_ste
         *(x.tolist() for x in (batch.transitions["flat"].row, batch.transitions["flat"].task)), strict=True
     ):
         if task == policy.tasks[tiny.TARGET] and row != table.last_row[row]:
-            pair = policy.translate(policy.scaler(table.observation.state[row : row + 2], "flat"))
+            pair = policy.translate(policy.perception.scaler(table.observation.state[row : row + 2], "flat"))
             clone = policy.clone(pair[:1], torch.tensor([task]), "target")
             errors.append((clone - policy.infer(pair[:1], pair[1:])).square().mean().item())
     own = batch.transitions["tall"]
@@ -251,3 +249,23 @@ def test_batches_of_one_domain_alone_are_no_obstacle(
     parts = first_batch(data, phase.demand).transitions
     assert set(phase.losses(Batch({"tall": parts["tall"]}, {}))) == {"bc_target"}
     assert set(phase.losses(Batch({"flat": parts["flat"]}, {}))) == {"bc_target", "bc_source"}
+
+
+def test_feature_points_learn_from_images_alone_and_are_frozen_afterwards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen.write(tmp_path / "seen.hdf5")
+    data = seen.data_module(tmp_path / "seen.hdf5")
+    policy = CdilPolicy(data.problem, latent=8, hidden=16, policy_layers=1, image_channels=[4, 3])
+    phase = CdilPositions(policy)
+    parts = phase.losses(first_batch(data, phase.demand))
+    assert set(parts) == {"position", "reconstruction"}
+    for name, loss in parts.items():
+        assert (gradients(loss, policy.positions) > 0) == (name == "position")
+        assert (gradients(loss, policy.perception) > 0) == (name == "reconstruction")
+    later = CdilAlignment(policy)
+    begin(later, data, monkeypatch)
+    batch = first_batch(data, later.demand)
+    assert all(steps.observation.image is None for steps in batch.transitions.values())
+    assert gradients(torch.stack([*later.losses(batch).values()]).sum(), policy.perception) == 0
+    assert "perception" in later.frozen

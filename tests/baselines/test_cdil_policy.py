@@ -7,9 +7,7 @@ import pytest
 import tiny
 import torch
 
-from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
-from datamodules.types import DomainSpec, ObservationKey
 from plp_lightning.baselines import CdilPolicy
 
 
@@ -28,8 +26,8 @@ def test_encode_brings_all_states_into_the_scaled_target_space(data: TransferDat
     seen = {domain: tiny.observe(table.observation.state[:7].numpy()) for domain, table in data.tables.items()}
     found = policy.encode(seen)
     assert {domain: tuple(z.shape) for domain, z in found.items()} == {"flat": (7, 5), "tall": (7, 5)}
-    assert torch.equal(found["tall"], policy.scaler(seen["tall"].state, "tall"))
-    assert torch.equal(found["flat"], policy.translate(policy.scaler(seen["flat"].state, "flat")))
+    assert torch.equal(found["tall"], policy.perception.scaler(seen["tall"].state, "tall"))
+    assert torch.equal(found["flat"], policy.translate(policy.perception.scaler(seen["flat"].state, "flat")))
 
 
 def test_each_domain_acts_with_a_clone_of_its_own(data: TransferDataModule, policy: CdilPolicy) -> None:
@@ -52,15 +50,3 @@ def test_source_and_target_are_those_of_the_problem_not_the_first_and_the_last(d
 def test_the_architecture_rebuilds_the_policy(policy: CdilPolicy) -> None:
     again = CdilPolicy(type(policy.problem).from_dict(policy.problem.to_dict()), **policy.architecture)
     again.load_state_dict(policy.state_dict())
-
-
-def test_three_domains_are_refused() -> None:
-    specs = [tiny.spec(name, 3, 2) for name in ("one", "two", "three")]
-    with pytest.raises(ConfigError, match=r"between two domains, found 3 \(one, two, three\); leave two"):
-        CdilPolicy(tiny.problem(specs, ["a"]))
-
-
-def test_cameras_are_refused() -> None:
-    seeing = DomainSpec("eye", (ObservationKey("a", (2,)), ObservationKey("c", (8, 8, 3), "image")), 2, 10.0)
-    with pytest.raises(ConfigError, match="domain 'eye' has a camera; choose an experiment without cameras"):
-        CdilPolicy(tiny.problem([tiny.spec("blind", 3, 2), seeing], ["a"]))

@@ -4,14 +4,12 @@ import json
 
 import numpy as np
 import pytest
-import seen
 import tiny
 import torch
 from torch import Tensor
 
-from datamodules.errors import ConfigError
-from datamodules.types import DomainSpec, Observation, ObservationKey
-from plp_lightning.baselines.gama.networks import SpatialEncoder, TargetDynamics, TransitionDiscriminator
+from datamodules.types import Observation
+from plp_lightning.baselines.gama.networks import TargetDynamics, TransitionDiscriminator
 from plp_lightning.baselines.gama.policy import GamaPolicy
 
 SOURCE, TARGET = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5)
@@ -37,10 +35,10 @@ def test_the_target_is_translated_there_and_back(action_map_state: bool) -> None
     decided = policy.decide(observation, task)
     for row in range(4):
         one_hot = torch.eye(3)[task["large"][row]]
-        own = policy.scaler(observation["small"].state[row], "small")
+        own = policy.perception.scaler(observation["small"].state[row], "small")
         acted = policy.source_policy.net(torch.cat([own, one_hot])).tanh()
         torch.testing.assert_close(decided["small"][row], acted)
-        state = policy.scaler(observation["large"].state[row], "large")
+        state = policy.perception.scaler(observation["large"].state[row], "large")
         there = policy.source_policy.net(torch.cat([policy.state_map.net(state), one_hot])).tanh()
         back = policy.action_map.net(torch.cat([there, state]) if action_map_state else there).tanh()
         torch.testing.assert_close(decided["large"][row], back)
@@ -50,8 +48,8 @@ def test_alignment_is_scored_in_states_of_the_source() -> None:
     policy = build()
     observation, _ = inputs()
     encoded = policy.encode(observation)
-    assert torch.equal(encoded["small"], policy.scaler(observation["small"].state, "small"))
-    expected = policy.state_map(policy.scaler(observation["large"].state, "large"))
+    assert torch.equal(encoded["small"], policy.perception.scaler(observation["small"].state, "small"))
+    expected = policy.state_map(policy.perception.scaler(observation["large"].state, "large"))
     torch.testing.assert_close(encoded["large"], expected)
     assert encoded["large"].shape == (4, 3)
 
@@ -61,14 +59,6 @@ def test_the_action_map_sees_the_state_if_it_is_told_to(action_map_state: bool) 
     policy, action = build(action_map_state), torch.randn(1, 2).expand(2, 2)
     first, second = policy.translate(action, torch.randn(2, 7))
     assert torch.equal(first, second) is not action_map_state
-
-
-@pytest.mark.parametrize("names", [("small",), ("small", "large", "third")])
-def test_only_two_domains_can_be_translated(names: tuple[str, ...]) -> None:
-    problem = tiny.problem([tiny.spec(name, 3, 2) for name in names], TASKS)
-    message = f"translates between two domains, found {', '.join(names)}; leave all but source and target domain away"
-    with pytest.raises(ConfigError, match=message):
-        GamaPolicy(problem)
 
 
 def test_the_architecture_rebuilds_the_policy_after_json() -> None:
@@ -120,58 +110,3 @@ def test_a_transition_is_described_by_its_change_in_typical_units_and_its_task()
     before, after = torch.tensor([[1.0, 2.0]]), torch.tensor([[2.0, -3.0]])
     row = judge.describe(before, torch.tensor([[7.0]]), after, torch.tensor([1]))
     torch.testing.assert_close(row, torch.tensor([[1.0, 2.0, 7.0, 2.0, -0.5, 0.0, 1.0, 0.0]]))
-
-
-def test_points_are_expected_places_of_a_softmax_over_pixels() -> None:
-    torch.manual_seed(0)
-    eyes, image = SpatialEncoder((6, 10, 3), [4, 2]), torch.randint(0, 256, (2, 6, 10, 3), dtype=torch.uint8)
-    with torch.no_grad():
-        eyes.sharpness.fill_(0.7)
-    points = eyes(image)
-    assert eyes.size == points.shape[1] == 4
-    maps = eyes.convolutions(image.permute(0, 3, 1, 2) / 255).detach().double()
-    maps = maps.exp() ** float(torch.tensor(0.7).exp())
-    assert maps.shape == (2, 2, 3, 5)
-    for picture in range(2):
-        for channel in range(2):
-            share = maps[picture, channel] / maps[picture, channel].sum()
-            row = sum(float(share[i].sum()) * place for i, place in enumerate((-1, 0, 1)))
-            column = sum(float(share[:, j].sum()) * place for j, place in enumerate((-1, -0.5, 0, 0.5, 1)))
-            found = points[picture, 2 * channel : 2 * channel + 2].tolist()
-            assert found == pytest.approx([row, column], abs=1e-5)
-
-
-def test_a_point_follows_what_it_is_a_feature_of() -> None:
-    eyes = SpatialEncoder((16, 16, 3), [1])
-    with torch.no_grad():
-        eyes.convolutions[0].weight.fill_(1.0)
-        eyes.sharpness.fill_(3.0)
-    image = torch.zeros(2, 16, 16, 3, dtype=torch.uint8)
-    image[0, 3:6, 11:14], image[1, 11:14, 3:6] = 255, 255
-    first, second = eyes(image)
-    assert first[0] < -0.3 < 0.3 < first[1]
-    assert second[1] < -0.3 < 0.3 < second[0]
-
-
-def camera(name: str) -> DomainSpec:
-    keys = (ObservationKey("a", (2,)), ObservationKey("camera", (8, 8, 3), "image"))
-    return DomainSpec(name, keys, 2, control_hz=10.0)
-
-
-def test_points_join_the_state_where_there_is_a_camera() -> None:
-    policy = GamaPolicy(tiny.problem([SOURCE, camera("seeing")], TASKS), hidden=8, image_channels=[4, 3])
-    assert policy.sizes == {"small": 3, "seeing": 8}
-    image = torch.randint(0, 256, (5, 8, 8, 3), dtype=torch.uint8)
-    observation = Observation(torch.zeros(5, 2), image)
-    state = policy.perceive("seeing", observation)
-    assert torch.equal(state, torch.cat([torch.zeros(5, 2), policy.eyes["seeing"](image)], dim=1))
-    assert policy.encode({"seeing": observation})["seeing"].shape == (5, 3)
-
-
-def test_each_camera_has_eyes_of_its_own_and_a_blind_policy_has_none() -> None:
-    problem = tiny.problem([camera("left"), camera("right")], seen.TASKS)
-    assert set(GamaPolicy(problem, hidden=8).eyes) == {"left", "right"}
-    blind = GamaPolicy(problem, hidden=8, image_channels=[])
-    assert blind.sizes == {"left": 2, "right": 2}
-    with pytest.raises(ConfigError, match=r"image_channels is \[4, 0\]; expected at least 1 each"):
-        GamaPolicy(problem, image_channels=[4, 0])

@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from datamodules.errors import ConfigError
 from datamodules.types import Batch, Demand, Transitions
 from plp_lightning.baselines.cdil.networks import OTHER, Role, TaskNetwork
-from plp_lightning.baselines.cdil.phases import CdilPhase, now_and_following
+from plp_lightning.baselines.cdil.phases import CdilPhase
 from plp_lightning.baselines.cdil.policy import CdilPolicy
+from plp_lightning.baselines.known_states import KnownStates, course_of
 from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made
 
 
@@ -20,7 +21,7 @@ class Steps(NamedTuple):
     """Steps of one domain, as the translation looks at them."""
 
     states: Tensor
-    """Scaled states and those after them, ``(2, B, O)``."""
+    """States and those after them, ``(2, B, O)``."""
     task: Tensor
     """``(B,)``."""
     shared: Tensor
@@ -42,14 +43,14 @@ class RoundTrip(NamedTuple):
     """Back again, ``(B, O)``."""
 
 
-class CdilAlignment(CdilPhase):
+class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
     """Adversarial translation that is consistent in cycles, latent cycles and temporal position (CDIL's second step).
 
     Discriminators look at two states that follow each other and at the task, so that what is translated has to move
     like the other domain. The target task has demonstrations in the source domain alone: they take part in the terms
     that need no counterpart, the two cycles ("inference-time adaptation"). No coefficient of the authors is known; the
     cycle's is CycleGAN's, those of the adversarial loss and of the noise were chosen on the first goal of P2P-umaze,
-    see ``docs/methods/cdil.md``.
+    see ``docs/methods/cdil.md``. The pace of either domain is measured before.
 
     Args:
         policy: The policy with trained position models.
@@ -72,7 +73,7 @@ class CdilAlignment(CdilPhase):
     """
 
     demand = Demand("all", images=False, course=True)
-    parts_trained = ("translator",)
+    parts_trained = ("translator", "pace")
     shared: Tensor
 
     def __init__(
@@ -104,7 +105,7 @@ class CdilAlignment(CdilPhase):
         }
         self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
         self.first_moment, self.slowdown, self.noise = first_moment, slowdown, noise
-        sizes = {role: policy.domains[domain].state_size for domain, role in policy.roles.items()}
+        sizes = {role: policy.perception.sizes[domain] for domain, role in policy.roles.items()}
         tasks, hidden, layers = len(policy.tasks), discriminator_hidden, discriminator_layers
         self.discriminators = nn.ModuleDict(
             {role: TaskNetwork(2 * size, tasks, 1, hidden, layers) for role, size in sizes.items()}
@@ -121,7 +122,10 @@ class CdilAlignment(CdilPhase):
         return torch.optim.AdamW(groups, betas=betas, weight_decay=self.weight_decay, fused=True)
 
     def on_fit_start(self) -> None:
-        """Note which tasks are demonstrated in both domains."""
+        """Perceive every step, measure how fast states change, note which tasks are demonstrated in both domains."""
+        super().on_fit_start()
+        for domain, role in self.policy.roles.items():
+            self.policy.pace.fit(self.usual_change(domain), role)
         proxies = self.trainer.datamodule.proxies  # type: ignore[attr-defined]
         self.shared.copy_(torch.tensor([float(task in proxies) for task in self.policy.tasks]))
 
@@ -146,10 +150,9 @@ class CdilAlignment(CdilPhase):
         return steps, {role: self._round_trip(found.states, role) for role, found in steps.items()}
 
     def _look(self, steps: Transitions, domain: str) -> Steps:
-        assert steps.course is not None, "the course of steps is demanded"
-        states = torch.stack(now_and_following(self.policy, steps, domain))
         shared = self.shared[steps.task]
-        return Steps(states, steps.task, shared, shared * ~steps.course.last)
+        states = torch.stack(self.before_and_after(domain, steps))
+        return Steps(states, steps.task, shared, shared * ~course_of(steps).last)
 
     def _round_trip(self, states: Tensor, role: Role) -> RoundTrip:
         there = self.policy.translator(states, role)

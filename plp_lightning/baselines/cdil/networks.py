@@ -71,7 +71,7 @@ class Translator(nn.Module):
         self.decoders = nn.ModuleDict({role: mlp(latent, hidden, decoder_layers, n) for role, n in sizes.items()})
 
     def forward(self, state: Tensor, role: Role) -> Translation:
-        """Scaled states ``(..., O)`` of the domain ``role`` → those of the other domain."""
+        """States ``(..., O)`` of the domain ``role`` → those of the other domain."""
         latent: Tensor = self.encoders[role](state)
         return Translation(latent, self.decoders[OTHER[role]](latent))
 
@@ -95,10 +95,9 @@ class Pace(nn.Module):
         for role, size in sizes.items():
             self.register_buffer(role, torch.ones(size))
 
-    def fit(self, now: Tensor, following: Tensor, role: Role) -> None:
-        """Take the root mean square of changes ``following - now``, both ``(N, O)``; 1 for columns that rest."""
-        change = (following - now).square().mean(0).sqrt()
-        getattr(self, role).copy_(change.where(change > 1e-6, 1))
+    def fit(self, unit: Tensor, role: Role) -> None:
+        """Take ``unit (O,)``, the usual change of each column in a step."""
+        getattr(self, role).copy_(unit)
 
     def forward(self, now: Tensor, following: Tensor, role: Role) -> Tensor:
         """Scaled states ``(..., O)`` twice → the first and the change, ``(..., 2 O)``."""

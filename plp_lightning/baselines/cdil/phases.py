@@ -11,6 +11,8 @@ from torch.nn import functional
 from datamodules.types import Batch, Demand, Transitions
 from plp_lightning.baselines.cdil.networks import Role
 from plp_lightning.baselines.cdil.policy import CdilPolicy
+from plp_lightning.baselines.known_states import KnownStates, course_of
+from plp_lightning.baselines.perception import PointReconstruction
 from plp_lightning.losses.translation import weighted_mean
 from plp_lightning.phases import Phase
 
@@ -59,43 +61,49 @@ class CdilPositions(CdilPhase):
     """Temporal position models: which share of its trajectory lies behind a state (CDIL's first step).
 
     ``P_d(s, k)`` is regressed to t / T by squared error, for proxy tasks in either domain. Since many tasks pass
-    through the same state, the models see the task; whether the authors' do could not be read. The pace of either
-    domain is measured here as well.
+    through the same state, the models see the task; whether the authors' do could not be read. Feature points of
+    images are learnt beside them, by drawing the images again, and get no gradient from them.
 
     Args:
         policy: The policy to train.
+        reconstruction_hidden: Units of the image decoders' hidden layer.
         epochs: Passes over the proxy data.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
     """
 
-    demand = Demand(images=False, course=True)
-    parts_trained = ("positions", "pace")
+    demand = Demand(course=True)
+    parts_trained = ("positions", "perception")
 
-    def __init__(self, policy: CdilPolicy, epochs: int = 10, lr: float = 5e-4, weight_decay: float = 0.0) -> None:
+    def __init__(
+        self,
+        policy: CdilPolicy,
+        reconstruction_hidden: int = 256,
+        epochs: int = 10,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+    ) -> None:
         super().__init__(policy, epochs, lr, weight_decay)
+        self.redrawing = PointReconstruction(policy.perception, reconstruction_hidden)
 
-    def on_fit_start(self) -> None:
-        """Measure how much the states of either domain change in a step of the proxy tasks."""
-        data = self.trainer.datamodule  # type: ignore[attr-defined]
-        rows = data.rows(data.proxies, "train")
-        for domain, role in self.policy.roles.items():
-            steps = data.tables[domain].without_images().take(torch.from_numpy(rows[domain]), course=True)
-            self.policy.pace.fit(*now_and_following(self.policy, steps, domain), role)
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """All parts of the policy but those that are trained here; of perception, the scaling."""
+        return super().frozen | {"scaler": self.policy.perception.scaler}
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """Squared error, mean over the steps of both domains."""
-        errors = [self._errors(steps, domain) for domain, steps in batch.transitions.items()]
-        return {"position": torch.cat(errors).mean()}
+        """Squared error of positions, mean over the steps of both domains, and of images where there are cameras."""
+        steps = batch.transitions
+        states = {domain: self.policy.perceive(domain, found.observation) for domain, found in steps.items()}
+        errors = [self._errors(found, states[domain].detach(), domain) for domain, found in steps.items()]
+        return {"position": torch.cat(errors).mean()} | self.redrawing.losses(states, steps)
 
-    def _errors(self, steps: Transitions, domain: str) -> Tensor:
-        assert steps.course is not None, "the course of steps is demanded"
-        state = self.policy.scaler(steps.observation.state, domain)
+    def _errors(self, steps: Transitions, state: Tensor, domain: str) -> Tensor:
         position = self.policy.position(state, steps.task, self.policy.roles[domain])
-        return (position - steps.course.progress).square()
+        return (position - course_of(steps).progress).square()
 
 
-class CdilDynamics(CdilPhase):
+class CdilDynamics(CdilPhase, KnownStates[CdilPolicy]):
     """Inverse dynamics of the target domain: which action leads from a state to the next (CDIL's third step).
 
     ``I(s, s')`` is regressed to the expert's action by squared error, on proxy tasks in the target domain.
@@ -115,30 +123,28 @@ class CdilDynamics(CdilPhase):
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """Squared error of the target's actions; the last step of a trajectory shows no result of its action."""
-        domain = self.policy.problem.target_domain
-        steps = batch.transitions[domain]
-        assert steps.course is not None, "the course of steps is demanded"
-        inferred = self.policy.infer(*now_and_following(self.policy, steps, domain))
+        steps = batch.transitions[self.policy.target]
+        inferred = self.policy.infer(*self.before_and_after(self.policy.target, steps))
         error = (inferred - steps.action).square().mean(-1)
-        return {"inverse_dynamics": weighted_mean(error, (~steps.course.last).float())}
+        return {"inverse_dynamics": weighted_mean(error, (~course_of(steps).last).float())}
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
         """The same, where there are steps of the target domain."""
-        return self.losses(batch) if self.policy.problem.target_domain in batch.transitions else {}
+        return self.losses(batch) if self.policy.target in batch.transitions else {}
 
 
 class Imagined(NamedTuple):
     """What the source's trajectories would be in the target domain."""
 
     state: Tensor
-    """Scaled target states ``(N, O_y)``."""
+    """Target states ``(N, O_y)``."""
     action: Tensor
     """``(N, A_y)``, as the inverse dynamics tell them."""
     weight: Tensor
     """``(N,)``: 1 for steps of the target task that another step follows, 0 for all others."""
 
 
-class CdilAdaptation(CdilPhase):
+class CdilAdaptation(CdilPhase, KnownStates[CdilPolicy]):
     """Cloning of the target task's demonstrations as they would be in the target domain (CDIL's last step).
 
     The source's trajectories are translated by Φ and labelled with actions by the inverse dynamics once, when the
@@ -161,23 +167,23 @@ class CdilAdaptation(CdilPhase):
         self.imagined: Imagined | None = None
 
     def on_fit_start(self) -> None:
-        """Translate and label the source's trajectories."""
+        """Perceive every step, and translate and label the source's trajectories."""
+        super().on_fit_start()
         self.imagined = self._imagine()
 
     def on_validation_start(self) -> None:
         """The same, if there was no training before."""
+        super().on_validation_start()
         self.imagined = self.imagined or self._imagine()
 
     @torch.no_grad()
     def _imagine(self) -> Imagined:
         data, policy = self.trainer.datamodule, self.policy  # type: ignore[attr-defined]
-        domain = policy.problem.source_domain
-        table = data.tables[domain].without_images()
+        table = data.tables[policy.source].without_images()
         steps = table.take(torch.arange(len(table)), course=True)
-        states = now_and_following(policy, steps, domain)
-        now, following = (policy.translate(state.to(self.device)) for state in states)
+        now, following = (policy.translate(state) for state in self.before_and_after(policy.source, steps))
         wanted = torch.isin(steps.task, torch.tensor([policy.tasks[task] for task in data.target_tasks]))
-        weight = (wanted & ~steps.course.last).float().to(self.device)
+        weight = (wanted & ~course_of(steps).last).float().to(self.device)
         return Imagined(now, policy.infer(now, following), weight)
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
@@ -185,8 +191,7 @@ class CdilAdaptation(CdilPhase):
         found, steps = {}, self.by_role(batch)
         assert self.imagined is not None, "the source's trajectories are translated before the first batch"
         if "source" in steps:
-            domain = self.policy.problem.source_domain
-            state = self.policy.scaler(steps["source"].observation.state, domain)
+            state = self.states[self.policy.source][steps["source"].row]
             clone = self.policy.clone(state, steps["source"].task, "source")
             found["bc_source"] = functional.mse_loss(clone, steps["source"].action)
         state, action, task, weight = self._lessons(steps, self.imagined)
@@ -198,23 +203,17 @@ class CdilAdaptation(CdilPhase):
         return {"bc_target": self.losses(batch)["bc_target"]}
 
     def _lessons(self, steps: dict[Role, Transitions], imagined: Imagined) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Scaled states, actions, tasks and weights of what the target's clone learns from in this batch."""
+        """States, actions, tasks and weights of what the target's clone learns from in this batch."""
         parts = []
         if "source" in steps:
             row = steps["source"].row
             parts.append((imagined.state[row], imagined.action[row], steps["source"].task, imagined.weight[row]))
         if "target" in steps:
             own = steps["target"]
-            state = self.policy.scaler(own.observation.state, self.policy.problem.target_domain)
+            state = self.states[self.policy.target][own.row]
             parts.append((state, own.action, own.task, torch.ones_like(state[:, 0])))
         state, action, task, weight = (torch.cat(column) for column in zip(*parts, strict=True))
         return state, action, task, weight
-
-
-def now_and_following(policy: CdilPolicy, steps: Transitions, domain: str) -> tuple[Tensor, Tensor]:
-    """Scaled states ``(B, O)`` of steps, and of those after them."""
-    assert steps.course is not None, "the course of steps is demanded"
-    return policy.scaler(steps.observation.state, domain), policy.scaler(steps.course.following.state, domain)
 
 
 def _size(batch: Batch) -> int:

@@ -8,10 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from datamodules.types import Batch, Course, Demand, Transitions
-from plp_lightning.baselines.gama.networks import PointDecoder, TransitionDiscriminator
+from datamodules.types import Batch, Demand, Transitions
+from plp_lightning.baselines.gama.networks import TransitionDiscriminator
 from plp_lightning.baselines.gama.policy import GamaPolicy
-from plp_lightning.losses import behavioural_cloning, reconstruction
+from plp_lightning.baselines.known_states import KnownStates, course_of
+from plp_lightning.baselines.perception import PointReconstruction
+from plp_lightning.losses import behavioural_cloning
 from plp_lightning.losses.gama import passing, telling_apart, unexplained_change
 from plp_lightning.phases.base import Phase, Schedule
 
@@ -44,26 +46,20 @@ class GamaPretraining(Phase[GamaPolicy]):
         lr_schedule: Schedule = "constant",
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
-        self.decoders = nn.ModuleDict(
-            {name: _decoder(policy, name, reconstruction_hidden) for name in policy.eyes.keys()}  # noqa: SIM118
-        )
+        self.redrawing = PointReconstruction(policy.perception, reconstruction_hidden)
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
         """Both maps, which need the other domain."""
         policy = self.policy
-        return {"scaler": policy.scaler, "state_map": policy.state_map, "action_map": policy.action_map}
+        return {"scaler": policy.perception.scaler, "state_map": policy.state_map, "action_map": policy.action_map}
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Sum of losses that share no parameter."""
         policy, steps = self.policy, batch.transitions
         state = {domain: policy.perceive(domain, s.observation) for domain, s in steps.items()}
         parts = self._losses({domain: seen.detach() for domain, seen in state.items()}, steps)
-        images = {d: s.observation.image for d, s in steps.items() if d in policy.eyes}
-        if images:
-            points = {d: state[d][:, policy.domains[d].state_size :] for d in images}
-            drawn = {domain: self.decoders[domain](found) for domain, found in points.items()}
-            parts["reconstruction"] = reconstruction(drawn, {d: i for d, i in images.items() if i is not None})
+        parts |= self.redrawing.losses(state, steps)
         if self.logs_now:
             self.log_parts(parts, sum(len(s.action) for s in steps.values()))
         return torch.stack([*parts.values()]).sum()
@@ -83,7 +79,7 @@ class GamaPretraining(Phase[GamaPolicy]):
             parts["bc"] = behavioural_cloning({policy.source: action}, {policy.source: taken.action})
         if policy.target in steps:
             taken, seen = steps[policy.target], state[policy.target]
-            course = _course(taken)
+            course = course_of(taken)
             with torch.no_grad():
                 following = policy.perceive(policy.target, course.following)
             foreseen = policy.dynamics(seen, taken.action)
@@ -91,38 +87,18 @@ class GamaPretraining(Phase[GamaPolicy]):
         return parts
 
 
-class KnownStates(Phase[GamaPolicy]):
-    """A phase in which nothing changes how states are perceived: each is computed once and looked up by row."""
+class GamaPhase(KnownStates[GamaPolicy]):
+    """A phase after pretraining: states are known, and so are the actions that the policy takes in them."""
 
     trains = GamaPolicy
-
-    def __init__(self, policy: GamaPolicy, epochs: int, lr: float, weight_decay: float, lr_schedule: Schedule) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
-        self.states: dict[str, Tensor] = {}
-
-    def on_fit_start(self) -> None:
-        """Perceive every step of both domains."""
-        self._perceive_all()
-
-    def on_validation_start(self) -> None:
-        """The same, if there was no training before."""
-        if not self.states:
-            self._perceive_all()
 
     def predict(self, transitions: Mapping[str, Transitions]) -> dict[str, Tensor]:
         """The policy's actions, from the states that are known already."""
         state = {domain: self.states[domain][steps.row] for domain, steps in transitions.items()}
         return self.policy.control(state, {domain: steps.task for domain, steps in transitions.items()})
 
-    @torch.no_grad()
-    def _perceive_all(self) -> None:
-        for domain, table in self.trainer.datamodule.tables.items():  # type: ignore[attr-defined]
-            chunks = torch.arange(len(table)).split(table.rows_at_a_time(8192))
-            seen = (table.take(rows).observation.map(lambda x: x.to(self.device)) for rows in chunks)
-            self.states[domain] = torch.cat([self.policy.perceive(domain, observation) for observation in seen])
 
-
-class GamaAlignment(KnownStates):
+class GamaAlignment(GamaPhase):
     """State map and action map, by imitation in the target domain and by transitions that pass for the source's.
 
     ``E ‖g(π_x(f(s_y), k)) - a_y‖² + λ E[-log D(ŝ, â, ŝ', k)]`` with ŝ = f(s_y), â = π_x(ŝ, k) and
@@ -160,7 +136,7 @@ class GamaAlignment(KnownStates):
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
         self.adversarial_weight = adversarial_weight
         self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
-        states, actions = policy.sizes[policy.source], policy.domains[policy.source].action_size
+        states, actions = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size
         self.discriminator = TransitionDiscriminator(
             states, actions, policy.task_count, discriminator_hidden, discriminator_layers
         )
@@ -169,7 +145,7 @@ class GamaAlignment(KnownStates):
     def frozen(self) -> dict[str, nn.Module]:
         """How states are perceived, and the source policy."""
         policy = self.policy
-        return {"scaler": policy.scaler, "eyes": policy.eyes, "source_policy": policy.source_policy}
+        return {"perception": policy.perception, "source_policy": policy.source_policy}
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW with a learning rate for each player."""
@@ -184,19 +160,15 @@ class GamaAlignment(KnownStates):
     def on_fit_start(self) -> None:
         """Perceive every step, and find out how much a step of the source domain changes."""
         super().on_fit_start()
-        data, source = self.trainer.datamodule, self.policy.source  # type: ignore[attr-defined]
-        rows = torch.from_numpy(data.rows(data.proxies, "train")[source])
-        steps = data.tables[source].take(rows, course=True)
-        state, following = self._before_and_after(source, steps)
-        self.discriminator.unit.copy_((following - state).square().mean(dim=0).sqrt().clamp(min=1e-6))
+        self.discriminator.unit.copy_(self.usual_change(self.policy.source))
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Losses of all players, from shared forward passes."""
         policy, judge = self.policy, self.discriminator
         here, there = batch.transitions[policy.source], batch.transitions[policy.target]
         (real_state, real_next), (state, following) = (
-            self._before_and_after(policy.source, here),
-            self._before_and_after(policy.target, there),
+            self.before_and_after(policy.source, here),
+            self.before_and_after(policy.target, there),
         )
         moved = policy.state_map(state)
         planned = policy.imitate(moved, there.task)
@@ -204,7 +176,7 @@ class GamaAlignment(KnownStates):
         arrived = policy.state_map(policy.dynamics.foresee(state, action))
         real = judge.describe(real_state, here.action, real_next, here.task)
         fake = judge.describe(moved, planned, arrived, there.task)
-        last, real_last = _course(there).last, _course(here).last
+        last, real_last = course_of(there).last, course_of(here).last
         parts = {
             "bc": behavioural_cloning({policy.target: action}, {policy.target: there.action}),
             "adversarial": passing(judge.judge(fake), last),
@@ -216,13 +188,8 @@ class GamaAlignment(KnownStates):
         weights = {"adversarial": self.adversarial_weight}
         return torch.stack([weights.get(name, 1.0) * loss for name, loss in parts.items()]).sum()
 
-    def _before_and_after(self, domain: str, steps: Transitions) -> tuple[Tensor, Tensor]:
-        """States ``(B, S_d)`` before and after the steps; after a trajectory's last step the same again."""
-        states = self.states[domain]
-        return states[steps.row], states[steps.row + ~_course(steps).last]
 
-
-class GamaAdaptation(KnownStates):
+class GamaAdaptation(GamaPhase):
     """Behavioural cloning of the target task by the source policy, in the source domain alone; all else is frozen.
 
     Args:
@@ -266,14 +233,3 @@ class GamaAdaptation(KnownStates):
         if self.logs_now:
             self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
         return loss
-
-
-def _course(steps: Transitions) -> Course:
-    assert steps.course is not None, "the phase's demand asks for it"
-    return steps.course
-
-
-def _decoder(policy: GamaPolicy, domain: str, hidden: int) -> PointDecoder:
-    spec = policy.domains[domain]
-    assert spec.image_key is not None, f"domain {domain!r} has eyes and no camera"
-    return PointDecoder(policy.sizes[domain] - spec.state_size, spec.image_key.shape, hidden)

@@ -8,24 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from torch import Tensor, nn
 
-from datamodules.errors import ConfigError
 from datamodules.normalization import Scaling
 from datamodules.problem import TransferProblem
-from datamodules.types import DomainSpec, Observation
-from plp_lightning.base_policy import AligningPolicy, Observations, Parts
-from plp_lightning.baselines.gama.networks import SpatialEncoder, TargetDynamics
+from plp_lightning.base_policy import Observations, Parts
+from plp_lightning.baselines.gama.networks import TargetDynamics
+from plp_lightning.baselines.translating_policy import TranslatingPolicy
 from plp_lightning.networks import ActionDecoder, StateEncoder
-from plp_lightning.scaling import InputScaler
 
 
-class GamaPolicy(AligningPolicy):
-    """Source policy π_x(s_x, k), state map f, action map g and target dynamics P, all on scaled states.
+class GamaPolicy(TranslatingPolicy):
+    """Source policy π_x(s_x, k), state map f, action map g and target dynamics P, all on perceived states.
 
-    Where a domain has a camera, its images become feature points (see :class:`SpatialEncoder`) and these are part of
-    the state. Alignment is scored in the source domain's states, as in the paper.
+    Alignment is scored in the source domain's states, as in the paper.
 
     Args:
         problem: Domains and tasks; exactly two domains.
@@ -69,23 +65,8 @@ class GamaPolicy(AligningPolicy):
             "clip": clip,
             "image_channels": list(image_channels),
         }
-        super().__init__(problem, architecture)
-        if len(problem.domains) != 2:
-            raise ConfigError(
-                f"GamaPolicy translates between two domains, found {', '.join(self.domains)}; "
-                "leave all but source and target domain away"
-            )
-        self.source, self.target = problem.source_domain, problem.target_domain
-        self.scaler = InputScaler(problem.domains, problem.statistics, scaling or {}, clip)
-        self.eyes = nn.ModuleDict(
-            {
-                name: SpatialEncoder(spec.image_key.shape, image_channels)
-                for name, spec in self.domains.items()
-                if spec.image_key is not None and image_channels
-            }
-        )
-        self.sizes = {name: self._state_size(spec) for name, spec in self.domains.items()}
-        here, there = self.sizes[self.source], self.sizes[self.target]
+        super().__init__(problem, architecture, scaling, clip, image_channels)
+        here, there = (self.perception.sizes[domain] for domain in (self.source, self.target))
         acts, moves = self.domains[self.source].action_size, self.domains[self.target].action_size
         self.task_count, self.action_map_state = len(problem.tasks), action_map_state
         self.source_policy = ActionDecoder(here, self.task_count, acts, hidden, policy_layers, gradient_floor)
@@ -93,14 +74,6 @@ class GamaPolicy(AligningPolicy):
         context = there if action_map_state else 0
         self.action_map = ActionDecoder(acts, context, moves, hidden, map_layers, gradient_floor)
         self.dynamics = TargetDynamics(there, moves, hidden, dynamics_layers)
-
-    def perceive(self, domain: str, observation: Observation[Tensor]) -> Tensor:
-        """Scaled state and feature points ``(B, S_d)`` of a domain: what everything else is a function of."""
-        state: Tensor = self.scaler(observation.state, domain)
-        if domain not in self.eyes:
-            return state
-        assert observation.image is not None, f"no image, but domain {domain!r} has a camera"
-        return torch.cat([state, self.eyes[domain](observation.image)], dim=1)
 
     def imitate(self, state: Tensor, task: Tensor) -> Tensor:
         """π_x: source states ``(B, S_x)`` and tasks ``(B,)`` → source actions ``(B, A_x)``."""
@@ -131,7 +104,3 @@ class GamaPolicy(AligningPolicy):
     def decide(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
         """π_x in the source domain, g ∘ π_x ∘ f in the target domain."""
         return self.control({domain: self.perceive(domain, seen) for domain, seen in observation.items()}, task)
-
-    def _state_size(self, spec: DomainSpec) -> int:
-        eyes = [eye.size for name, eye in self.eyes.items() if name == spec.name and isinstance(eye, SpatialEncoder)]
-        return spec.state_size + sum(eyes)
