@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from command import ROOT, checkpoint, complaint, dies, plp, results, same, smoke_run, tiny_smoke
+from command import ROOT, checkpoint, dies, plp, results, same, smoke_run, tiny_smoke
 
 from plp_lightning.runs.directory import RunDirectory
 
@@ -44,12 +44,12 @@ def test_a_run_gives_results_and_can_be_tested_again(unbroken: RunDirectory) -> 
 
 
 def test_a_phase_changes_the_parts_that_it_trains_and_no_others(unbroken: RunDirectory) -> None:
-    trained = {"alignment": "translator", "dynamics": "inverse_dynamics", "adaptation": "clones"}
+    trained = {"alignment": {"translator", "pace"}, "dynamics": {"inverse_dynamics"}, "adaptation": {"clones"}}
     for before, after in itertools.pairwise(PHASES):
         one, other = (checkpoint(unbroken, phase)["state_dict"] for phase in (before, after))
         names = [name for name in other if name.startswith("policy.")]
         changed = {name.split(".")[1] for name in names if not same(one[name], other[name])}
-        assert changed == {trained[after]}
+        assert changed == trained[after]
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
@@ -73,8 +73,14 @@ def test_the_page_sets_what_it_shares_with_the_method() -> None:
     assert printed["adaptation"]["init_args"] == {"epochs": 50, "lr": 5e-4, "weight_decay": 1e-5}
 
 
-def test_a_domain_with_a_camera_is_refused_before_training(tmp_path: Path) -> None:
+def test_images_are_translated_as_their_feature_points(tmp_path: Path) -> None:
     seen = ["--config", str(ROOT / "tests" / "conf" / "seen.yaml")]
-    few = ["--data.trajectories", 3, "--data.target_trajectories", 1]
-    told = complaint("fit", *seen, *OVERLAY, *few, "--data.root", tmp_path, "--run_root", tmp_path)
-    assert "has a camera; choose an experiment without cameras" in told
+    answer = plp("fit", *seen, *OVERLAY, *tiny_smoke(tmp_path)[2:], *FEW, "--policy.init_args.image_channels", "[4, 3]")
+    assert answer.code == 0, answer
+    (run,) = (RunDirectory(path.parent) for path in tmp_path.rglob("results.json"))
+    assert 0 <= results(run)["alignment"]["closeness"] <= 1
+    learned = checkpoint(run, "adaptation")["state_dict"]
+    assert learned["policy.translator.encoders.source.0.weight"].shape[1] == 3 + 2 * 3
+    eyes = [name for name in learned if name.startswith("policy.perception.eyes")]
+    assert eyes
+    assert all(same(learned[name], checkpoint(run, "positions")["state_dict"][name]) for name in eyes)
