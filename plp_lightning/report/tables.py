@@ -29,7 +29,7 @@ def paper_values() -> Paper:
 
 
 def markdown(records: Sequence[Record]) -> str:
-    """The report: a table of methods, mean over their runs, and a table of runs."""
+    """The report: methods by the mean over their runs, methods on the same target task and seed, and every run."""
     ordered = sorted(records, key=_rank)
     return "\n".join(
         [
@@ -39,6 +39,7 @@ def markdown(records: Sequence[Record]) -> str:
             "",
             *_rows(["experiment", "method", "runs", "success", "before adaptation", "the paper"], _methods(ordered)),
             "",
+            *_side_by_side(ordered),
             "## Runs",
             "",
             "Success with its 95 % interval; alignment scores on proxy tasks.",
@@ -88,6 +89,21 @@ def _methods(ordered: Sequence[Record]) -> list[list[str]]:
         success = _spread([record.success for record in group])
         rows.append([experiment, method, str(len(group)), success, _spread(before), _pair(paper)])
     return rows
+
+
+def _side_by_side(ordered: Sequence[Record]) -> list[str]:
+    """A section with a row for each target task and seed that several methods were run on; empty without one."""
+    groups: dict[tuple[str, str, str], dict[str, float]] = defaultdict(dict)
+    for record in ordered:
+        groups[record.experiment, record.target, str(record.seed)][record.method] = record.success
+    shared = {names: rates for names, rates in groups.items() if len(rates) > 1}
+    if not shared:
+        return []
+    order = [*dict.fromkeys(name for methods in paper_values().values() for name in methods)]
+    methods = sorted({name for rates in shared.values() for name in rates}, key=lambda name: _place(name, order))
+    rows = [[*names, *(_rate(rates.get(method)) for method in methods)] for names, rates in shared.items()]
+    table = _rows(["experiment", "target", "seed", *methods], rows)
+    return ["## Side by side", "", "Methods on the same target task and seed.", "", *table, ""]
 
 
 def _spread(rates: Sequence[float]) -> str:

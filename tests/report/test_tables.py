@@ -32,6 +32,21 @@ def test_methods_stand_side_by_side_in_the_paper_s_order():
     assert "| r2r | plp | x0y0h0 | 0 | 0.75 (0.25 – 0.75) | 0.00 | – | 1.00 | closeness 0.50 |" in table
 
 
+def test_methods_are_compared_on_the_same_target_task_and_seed():
+    runs = [record("gama", success=0.25), record(success=0.75), record("bc", success=0.5)]
+    others = [record(seed=1), record(target="x2y2h2"), record("mine", target="x2y2h2", success=1.0)]
+    lines = markdown([*runs, *others]).splitlines()
+    first = lines.index("## Side by side") + 4
+    assert lines[first : first + 5] == [
+        "| experiment | target | seed | plp | gama | bc | mine |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| r2r | x0y0h0 | 0 | 0.75 | 0.25 | 0.50 | – |",
+        "| r2r | x2y2h2 | 0 | 0.50 | – | – | 1.00 |",
+        "",
+    ]
+    assert "## Side by side" not in markdown([record(), record("gama", seed=1)])
+
+
 def test_csv_has_a_line_a_run_and_a_column_a_score():
     text = comma_separated([record(alignment={"top1": 0.25, "top5": 0.5}), record(seed=1)])
     first, second = csv.DictReader(io.StringIO(text))
@@ -58,7 +73,7 @@ def test_the_report_of_the_kept_results_is_current(tmp_path):
 
 def test_the_readme_shows_the_means_of_the_kept_results():
     report = (ROOT / "docs" / "results" / "report.md").read_text()
-    table = report[report.index("| experiment") : report.index("\n\n## Runs")]
+    table = report[report.index("| experiment") : report.index("\n\n## Side by side")]
     assert table in (ROOT / "README.md").read_text(), "copy the table of docs/results/report.md into README.md"
 
 
