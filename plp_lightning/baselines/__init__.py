@@ -1,4 +1,7 @@
-"""BASELINES: the methods that PLP is compared with, each a policy and its phases; a file or a folder a method."""
+"""BASELINES: the methods that PLP is compared with, each a policy and its phases; a file or a folder a method.
+
+What those share that translate states lies beside them: perception, a policy of two domains, known states.
+"""
 
 from plp_lightning.baselines.cdil import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions
 from plp_lightning.baselines.contextual import ContextualCloning, ContextualPolicy
