@@ -15,6 +15,7 @@ from plp_lightning.runs.metrics_file import read_rows
 from plp_lightning.verbs.config import parse
 
 OVERLAY = ["--config", str(ROOT / "configs" / "methods" / "contextual.yaml")]
+PAPER = ["--config", str(ROOT / "configs" / "studies" / "contextual_paper.yaml")]
 FEW = ["--policy.feed_forward", "32", "--policy.heads", "4", "--alignment.epochs", "2", "--data.pairs", "2"]
 STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
 
@@ -33,13 +34,14 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     return smoke_run(root, "contextual")
 
 
-def test_the_papers_settings_win_over_the_page() -> None:
-    experiment = parse([*tiny_smoke(Path())[:2], *OVERLAY])
+@pytest.mark.parametrize(("study", "epochs", "pairs"), [([], 64, 8), (PAPER, 500, 64)], ids=["default", "paper"])
+def test_its_own_settings_win_over_the_page(study: list[str], epochs: int, pairs: int) -> None:
+    experiment = parse([*tiny_smoke(Path())[:2], *OVERLAY, *study])
     settings = yaml.safe_load(experiment.config)
-    assert experiment.data.pairs == 64
+    assert experiment.data.pairs == pairs
     assert list(experiment.phases) == ["alignment"]
     assert "adaptation" not in settings
-    assert settings["alignment"]["init_args"]["epochs"] == 500
+    assert settings["alignment"]["init_args"]["epochs"] == epochs
     assert settings["alignment"]["init_args"]["lr"] == 1e-3
 
 
