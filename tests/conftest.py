@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import seen
 import tiny
 import torch
 from hypothesis import settings
@@ -32,6 +33,14 @@ def trajectory_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "synthetic.hdf5"
     specs = [domain.simulator.spec(name) for name, domain in tiny.domains().items()]
     write_trajectories(path, specs, tiny.TASKS, tiny.demonstrations(4), {"command": "tests"})
+    return path
+
+
+@pytest.fixture(scope="session")
+def seen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Demonstrations of each task in both synthetic domains with cameras."""
+    path = tmp_path_factory.mktemp("data") / "seen.hdf5"
+    seen.write(path)
     return path
 
 

@@ -37,9 +37,9 @@ class Perception(nn.Module):
         self.sensed = {spec.name: spec.state_size for spec in problem.domains}
         images = {spec.name: spec.image_key.shape for spec in problem.domains if spec.image_key is not None}
         self.images = images if image_channels else {}
-        self.eyes = nn.ModuleDict({name: SpatialEncoder(shape, image_channels) for name, shape in self.images.items()})
-        points = 2 * image_channels[-1] if image_channels else 0
-        self.sizes = {name: size + points * (name in self.images) for name, size in self.sensed.items()}
+        eyes = {name: SpatialEncoder(shape, image_channels) for name, shape in self.images.items()}
+        self.eyes = nn.ModuleDict(eyes)
+        self.sizes = self.sensed | {name: self.sensed[name] + eye.size for name, eye in eyes.items()}
 
     def forward(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         """What is seen in a domain, B rows → its state ``(B, S_d)``."""

@@ -252,10 +252,9 @@ def test_batches_of_one_domain_alone_are_no_obstacle(
 
 
 def test_feature_points_learn_from_images_alone_and_are_frozen_afterwards(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    seen_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen.write(tmp_path / "seen.hdf5")
-    data = seen.data_module(tmp_path / "seen.hdf5")
+    data = seen.data_module(seen_file)
     policy = CdilPolicy(data.problem, latent=8, hidden=16, policy_layers=1, image_channels=[4, 3])
     phase = CdilPositions(policy)
     parts = phase.losses(first_batch(data, phase.demand))

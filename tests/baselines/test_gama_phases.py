@@ -202,13 +202,6 @@ def test_phases_refuse_other_policies(kind: type[Phase[GamaPolicy]], trajectory_
         kind(policy)  # type: ignore[call-arg,arg-type]
 
 
-@pytest.fixture(scope="module")
-def seen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("seen") / "seen.hdf5"
-    seen.write(path)
-    return path
-
-
 def test_eyes_learn_from_reconstruction_alone(seen_file: Path) -> None:
     data = seen.data_module(seen_file)
     phase = WatchedPretraining(policy_of(data))

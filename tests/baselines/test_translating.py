@@ -62,13 +62,6 @@ def test_each_camera_has_eyes_of_its_own_and_a_blind_policy_has_none(kind: Calla
         kind(problem, image_channels=[4, 0])
 
 
-@pytest.fixture(scope="module")
-def seen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("seen") / "seen.hdf5"
-    seen.write(path)
-    return path
-
-
 def small(data: TransferDataModule) -> GamaPolicy:
     torch.manual_seed(0)
     return GamaPolicy(data.problem, hidden=8, policy_layers=1, map_layers=1, dynamics_layers=1, image_channels=[4, 3])

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 import seen
 import tiny
 from lightning.pytorch import Trainer
@@ -19,13 +18,6 @@ from plp_lightning.callbacks.reconstruction_picture import (
 )
 from plp_lightning.evaluation.scores import encode, sample_states
 from plp_lightning.phases import Alignment
-
-
-@pytest.fixture(scope="module")
-def seen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("seen") / "seen.hdf5"
-    seen.write(path)
-    return path
 
 
 def test_each_domains_own_images_are_shown_and_what_the_decoder_makes_of_them(seen_file: Path) -> None:

@@ -31,13 +31,6 @@ class Recorded(Alignment):
         self.parts = parts
 
 
-@pytest.fixture(scope="module")
-def seen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("seen") / "seen.hdf5"
-    seen.write(path)
-    return path
-
-
 def looks(phase: Alignment | Adaptation) -> list[int]:
     """How many images each pass through the image encoder saw, as they happen."""
     counts: list[int] = []
