@@ -33,7 +33,7 @@ SMALL += ["--policy.init_args.image_channels", "[4, 8]", "--policy.init_args.ima
 SMALL += ["--evaluation.final_episodes", "2", "--collection.linger", "1", "--alignment.terms", "[mmd, tcc]"]
 PAGES = {
     "v2v_reach": (("left", "right"), 2, 60, []),
-    "v2v_open": (("rear", "front"), 4, 110, ["--score.init_args.guided_episodes", "1"]),
+    "v2v_open": (("rear", "front"), 4, 140, ["--score.init_args.guided_episodes", "1"]),
 }
 """Domains, demonstrations of proxy tasks, horizon, and further options."""
 
