@@ -8,7 +8,7 @@ the state; a domain without a camera has zeros there.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -22,9 +22,10 @@ from plp_lightning.networks import ActionDecoder, CommonPolicy, DomainColumns, I
 from plp_lightning.networks.vision import image_shape, see
 from plp_lightning.scaling import InputScaler
 
-EncoderState = Literal["all"] | list[str]
-DecoderState = Literal["none", "proprioception", "all"] | list[str]
-ENCODER_STATES, DECODER_STATES = ("all",), ("none", "proprioception", "all")
+EncoderWord = Literal["all"]
+DecoderWord = Literal["none", "proprioception", "all"]
+EncoderState = EncoderWord | list[str]
+DecoderState = DecoderWord | list[str]
 
 
 class Forward(NamedTuple):
@@ -103,8 +104,8 @@ class PortablePolicy(AligningPolicy):
         self.image_shape = image_shape(domains) if image_channels else None
         self.image_features = 0 if self.image_shape is None else image_features
         self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
-        self.state_columns = _columns("encoder_state", encoder_state, ENCODER_STATES, domains)
-        self.context_columns = _columns("decoder_state", decoder_state, DECODER_STATES, domains)
+        self.state_columns = _columns("encoder_state", encoder_state, get_args(EncoderWord), domains)
+        self.context_columns = _columns("decoder_state", decoder_state, get_args(DecoderWord), domains)
         self.states = DomainColumns({name: len(seen) for name, seen in self.state_columns.items()}, columns)
         self.contexts = DomainColumns({name: len(seen) for name, seen in self.context_columns.items()}, columns)
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
