@@ -62,14 +62,14 @@ def test_parts_of_alignment_are_the_separate_losses(
     trajectory_file: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = WatchedAlignment(policy_of(data), adversarial_weight=0.3, discriminator_hidden=8)
+    phase = WatchedAlignment(policy_of(data), adversarial_weight=0.3, penalty_weight=0.7, discriminator_hidden=8)
     batch = begun(phase, data, make_trainer)
     total = phase.training_step(batch, 0)
     policy, judge, steps = phase.policy, phase.discriminator, batch.transitions
     source, target, tables = steps["flat"], steps["tall"], data.tables
     assert source.course is not None
     assert target.course is not None
-    errors, real, fake, told = [], [], [], []
+    errors, real, fake, told, slopes = [], [], [], [], []
     for i in range(len(target.action)):
         state = policy.perception.scaler(target.observation.state[i : i + 1], "tall")
         action = policy.decide({"tall": target.observation.take([i])}, {"tall": target.task[[i]]})["tall"]
@@ -88,16 +88,18 @@ def test_parts_of_alignment_are_the_separate_losses(
             )
             described = judge.describe(before, source.action[[i]], after, source.task[[i]])
             real.append(functional.logsigmoid(judge(described)))
+            slopes.append(torch.autograd.functional.jacobian(judge, described).square().sum())
     expected = {
         "bc": torch.stack(errors).mean(),
         "adversarial": -torch.cat(fake).mean(),
         "discriminator": -torch.cat(real).mean() - torch.cat(told).mean(),
+        "penalty": torch.stack(slopes).mean() / 2,
     }
     for name, value in expected.items():
         torch.testing.assert_close(phase.parts[name], value, msg=name)
     parts = phase.parts
-    whole = parts["bc"] + 0.3 * parts["adversarial"] + parts["discriminator"] + parts["dynamics"]
-    torch.testing.assert_close(total, whole)
+    whole = parts["bc"] + 0.3 * parts["adversarial"] + parts["discriminator"] + 0.7 * parts["penalty"]
+    torch.testing.assert_close(total, whole + parts["dynamics"])
 
 
 def test_the_discriminators_unit_is_the_usual_change_of_the_source(
@@ -121,6 +123,7 @@ def test_each_loss_of_alignment_reaches_its_own_player_only(
         "bc": {"policy.state_map", "policy.source_policy", "policy.action_map"},
         "adversarial": {"policy.state_map", "policy.source_policy", "policy.action_map"},
         "discriminator": {"discriminator.net"},
+        "penalty": {"discriminator.net"},
         "dynamics": {"policy.dynamics"},
     }
     for name in parts:

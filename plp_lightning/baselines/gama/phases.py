@@ -15,6 +15,7 @@ from plp_lightning.baselines.known_states import KnownStates, course_of
 from plp_lightning.baselines.perception import PointReconstruction
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.losses.gama import passing, telling_apart, unexplained_change
+from plp_lightning.losses.gradient_penalty import gradient_penalty
 from plp_lightning.phases.base import Phase, Schedule
 
 
@@ -108,6 +109,7 @@ class GamaAlignment(GamaPhase):
     Args:
         policy: The policy to train, its source policy and dynamics trained before.
         adversarial_weight: λ.
+        penalty_weight: γ of the penalty on the discriminator's slope, so that it can't become certain.
         discriminator_layers: Hidden layers of the discriminator.
         discriminator_hidden: Units in its hidden layers.
         discriminator_lr: Learning rate of the discriminator.
@@ -124,6 +126,7 @@ class GamaAlignment(GamaPhase):
         self,
         policy: GamaPolicy,
         adversarial_weight: float = 0.5,
+        penalty_weight: float = 1.0,
         discriminator_layers: int = 2,
         discriminator_hidden: int = 192,
         discriminator_lr: float = 1e-4,
@@ -134,7 +137,7 @@ class GamaAlignment(GamaPhase):
         lr_schedule: Schedule = "constant",
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
-        self.adversarial_weight = adversarial_weight
+        self.weights = {"adversarial": adversarial_weight, "penalty": penalty_weight}
         self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
         states, actions = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size
         self.discriminator = TransitionDiscriminator(
@@ -174,19 +177,19 @@ class GamaAlignment(GamaPhase):
         planned = policy.imitate(moved, there.task)
         action = policy.translate(planned, state)
         arrived = policy.state_map(policy.dynamics.foresee(state, action))
-        real = judge.describe(real_state, here.action, real_next, here.task)
+        real = judge.describe(real_state, here.action, real_next, here.task).requires_grad_()
         fake = judge.describe(moved, planned, arrived, there.task)
-        last, real_last = course_of(there).last, course_of(here).last
+        judged, last, real_last = judge(real), course_of(there).last, course_of(here).last
         parts = {
             "bc": behavioural_cloning({policy.target: action}, {policy.target: there.action}),
             "adversarial": passing(judge.judge(fake), last),
-            "discriminator": telling_apart(judge(real), judge(fake.detach()), real_last, last),
+            "discriminator": telling_apart(judged, judge(fake.detach()), real_last, last),
+            "penalty": gradient_penalty(judged, real, ~real_last),
             "dynamics": unexplained_change(policy.dynamics(state, there.action), state, following, last),
         }
         if self.logs_now:
             self.log_parts(parts, len(state) + len(real_state))
-        weights = {"adversarial": self.adversarial_weight}
-        return torch.stack([weights.get(name, 1.0) * loss for name, loss in parts.items()]).sum()
+        return torch.stack([self.weights.get(name, 1.0) * loss for name, loss in parts.items()]).sum()
 
 
 class GamaAdaptation(GamaPhase):

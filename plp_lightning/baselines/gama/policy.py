@@ -30,8 +30,6 @@ class GamaPolicy(TranslatingPolicy):
         map_layers: Hidden layers of the state map and of the action map.
         dynamics_layers: Hidden layers of the target dynamics.
         action_map_state: Whether the action map sees the target's state beside the source's action ("GAMA + State").
-        gradient_floor: Least slope of the tanh of source policy and action map in the backward pass; with the plain
-            tanh of 0, no gradient reaches the state map where the frozen source policy's actions are saturated.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
         clip: Bound of z-scored inputs, in deviations.
         image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
@@ -49,7 +47,6 @@ class GamaPolicy(TranslatingPolicy):
         map_layers: int = 3,
         dynamics_layers: int = 3,
         action_map_state: bool = False,
-        gradient_floor: float = 0.1,
         scaling: dict[str, Scaling] | None = None,
         clip: float = 5.0,
         image_channels: Sequence[int] = (32, 32, 16),
@@ -60,7 +57,6 @@ class GamaPolicy(TranslatingPolicy):
             "map_layers": map_layers,
             "dynamics_layers": dynamics_layers,
             "action_map_state": action_map_state,
-            "gradient_floor": gradient_floor,
             "scaling": scaling,
             "clip": clip,
             "image_channels": list(image_channels),
@@ -69,10 +65,10 @@ class GamaPolicy(TranslatingPolicy):
         here, there = (self.perception.sizes[domain] for domain in (self.source, self.target))
         acts, moves = self.domains[self.source].action_size, self.domains[self.target].action_size
         self.task_count, self.action_map_state = len(problem.tasks), action_map_state
-        self.source_policy = ActionDecoder(here, self.task_count, acts, hidden, policy_layers, gradient_floor)
+        self.source_policy = ActionDecoder(here, self.task_count, acts, hidden, policy_layers)
         self.state_map = StateEncoder(there, here, hidden, map_layers)
         context = there if action_map_state else 0
-        self.action_map = ActionDecoder(acts, context, moves, hidden, map_layers, gradient_floor)
+        self.action_map = ActionDecoder(acts, context, moves, hidden, map_layers)
         self.dynamics = TargetDynamics(there, moves, hidden, dynamics_layers)
 
     def imitate(self, state: Tensor, task: Tensor) -> Tensor:

@@ -1,0 +1,32 @@
+"""What keeps a discriminator from growing ever steeper: a penalty on its slope."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def gradient_penalty(judged: Tensor, real: Tensor, counts: Tensor) -> Tensor:
+    r"""Half the squared slope of a discriminator at real samples ("R1").
+
+    .. math:: \frac{1}{2} \mathbb{E}_{real} \| \nabla_x D(x) \|^2
+
+    A discriminator that is as good as certain teaches nothing, or leads away from what is real. With this penalty the
+    game of discriminator and generator has a point where both come to rest. See "Which Training Methods for GANs do
+    actually Converge?" (https://arxiv.org/abs/1801.04406), Eq. 9, without its factor γ.
+
+    Args:
+        judged: ``(B,)``: what the discriminator says of the samples, each from its own row alone.
+        real: ``(B, N)``, the samples, which require a gradient.
+        counts: Bool ``(B,)``; samples that don't count are left out.
+
+    Returns:
+        Scalar, whose gradient reaches the discriminator; 0 if no sample counts.
+
+    Example:
+        >>> real = torch.ones(2, 3, requires_grad=True)
+        >>> gradient_penalty(real.square().sum(dim=1), real, torch.ones(2).bool())
+        tensor(6., grad_fn=<DivBackward0>)
+    """
+    (slope,) = torch.autograd.grad(judged.sum(), real, create_graph=True)
+    return (slope.square().sum(dim=1) * counts).sum() / (2 * counts.sum().clamp(min=1))
