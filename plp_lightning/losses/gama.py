@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from plp_lightning.losses.weighted_mean import weighted_mean
+
 
 def unexplained_change(prediction: Tensor, state: Tensor, following: Tensor, last: Tensor) -> Tensor:
     r"""Squared error of the predicted next state, for each column as a share of what there was to predict.
@@ -58,7 +60,7 @@ def telling_apart(real: Tensor, fake: Tensor, real_last: Tensor, fake_last: Tens
         >>> telling_apart(torch.zeros(3), torch.zeros(3), none, none)  # 2 log 2: it can't tell
         tensor(1.3863)
     """
-    return _mean(functional.softplus(-real), real_last) + _mean(functional.softplus(fake), fake_last)
+    return weighted_mean(functional.softplus(-real), ~real_last) + weighted_mean(functional.softplus(fake), ~fake_last)
 
 
 def passing(fake: Tensor, last: Tensor) -> Tensor:
@@ -75,10 +77,4 @@ def passing(fake: Tensor, last: Tensor) -> Tensor:
         >>> passing(torch.tensor([9.0, -9.0]), torch.tensor([False, True]))
         tensor(0.0001)
     """
-    return _mean(functional.softplus(-fake), last)
-
-
-def _mean(values: Tensor, left_out: Tensor) -> Tensor:
-    """Mean of those not left out; 0 if there are none."""
-    counts = ~left_out
-    return (values * counts).sum() / counts.sum().clamp(min=1)
+    return weighted_mean(functional.softplus(-fake), ~last)

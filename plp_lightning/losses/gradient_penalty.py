@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from plp_lightning.losses.weighted_mean import weighted_mean
 
-def gradient_penalty(judged: Tensor, real: Tensor, counts: Tensor) -> Tensor:
+
+def gradient_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
     r"""Half the squared slope of a discriminator at real samples ("R1").
 
     .. math:: \frac{1}{2} \mathbb{E}_{real} \| \nabla_x D(x) \|^2
@@ -18,10 +20,10 @@ def gradient_penalty(judged: Tensor, real: Tensor, counts: Tensor) -> Tensor:
     Args:
         judged: ``(B,)``: what the discriminator says of the samples, each from its own row alone.
         real: ``(B, N)``, the samples, which require a gradient.
-        counts: Bool ``(B,)``; samples that don't count are left out.
+        weight: ``(B,)``, bool or at least 0.
 
     Returns:
-        Scalar, whose gradient reaches the discriminator; 0 if no sample counts.
+        Scalar, whose gradient reaches the discriminator; 0 if all weights are 0.
 
     Example:
         >>> real = torch.ones(2, 3, requires_grad=True)
@@ -29,4 +31,4 @@ def gradient_penalty(judged: Tensor, real: Tensor, counts: Tensor) -> Tensor:
         tensor(6., grad_fn=<DivBackward0>)
     """
     (slope,) = torch.autograd.grad(judged.sum(), real, create_graph=True)
-    return (slope.square().sum(dim=1) * counts).sum() / (2 * counts.sum().clamp(min=1))
+    return weighted_mean(slope.square().sum(dim=1), weight) / 2

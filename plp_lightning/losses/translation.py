@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from plp_lightning.losses.weighted_mean import weighted_mean
+
 
 def real_or_made(real: Tensor, made: Tensor, real_weight: Tensor, made_weight: Tensor) -> Tensor:
     r"""The discriminator's least-squares loss: real samples shall be judged 1, translated ones 0.
@@ -97,10 +99,3 @@ def position_gap(here: Tensor, abroad: Tensor, weight: Tensor) -> Tensor:
         tensor(0.5000)
     """
     return weighted_mean((abroad - here).square(), weight)
-
-
-def weighted_mean(value: Tensor, weight: Tensor) -> Tensor:
-    """Mean of ``value (B,)`` under ``weight (B,)`` ≥ 0; 0 if all weights are 0."""
-    assert value.shape == weight.shape, f"expected one weight a sample {tuple(value.shape)}, got {tuple(weight.shape)}"
-    total = weight.sum()
-    return (value * weight).sum() / total.where(total > 0, 1)

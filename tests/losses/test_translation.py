@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made, weighted_mean
+from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made
+from plp_lightning.losses.weighted_mean import weighted_mean
 
 
 def draw(*shape: int, seed: int = 0) -> Tensor:
