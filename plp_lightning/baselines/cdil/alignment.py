@@ -14,6 +14,7 @@ from plp_lightning.baselines.cdil.networks import OTHER, Role, TaskNetwork
 from plp_lightning.baselines.cdil.phases import CdilPhase
 from plp_lightning.baselines.cdil.policy import CdilPolicy
 from plp_lightning.baselines.known_states import KnownStates, course_of
+from plp_lightning.losses.gradient_penalty import gradient_penalty
 from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made
 
 
@@ -49,8 +50,8 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
     Discriminators look at two states that follow each other and at the task, so that what is translated has to move
     like the other domain. The target task has demonstrations in the source domain alone: they take part in the terms
     that need no counterpart, the two cycles ("inference-time adaptation"). No coefficient of the authors is known; the
-    cycle's is CycleGAN's, those of the adversarial loss and of the noise were chosen on the first goal of P2P-umaze,
-    see ``docs/methods/cdil.md``. The pace of either domain is measured before.
+    cycle's is CycleGAN's, how the others were chosen is in ``docs/methods/cdil.md``. The pace of either domain is
+    measured before.
 
     Args:
         policy: The policy with trained position models.
@@ -61,6 +62,7 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
         noise: Deviation of Gaussian noise on what discriminators see, real or not. Two states that follow each other
             obey the physics to the last digit, and translated ones never do: without noise that gives them away, and
             the discriminators have nothing to teach.
+        penalty_weight: γ of the penalty on the discriminators' slopes, to the same end.
         discriminator_layers: Hidden layers of each discriminator.
         discriminator_hidden: Units in its hidden layers.
         discriminator_lr: Learning rate of the discriminators; None is ``lr``.
@@ -84,6 +86,7 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
         latent_weight: float = 1.0,
         position_weight: float = 1.0,
         noise: float = 0.1,
+        penalty_weight: float = 0.1,
         discriminator_layers: int = 3,
         discriminator_hidden: int = 192,
         discriminator_lr: float | None = None,
@@ -102,6 +105,7 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
             "latent": latent_weight,
             "position": position_weight,
             "discriminator": 1.0,
+            "penalty": penalty_weight,
         }
         self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
         self.first_moment, self.slowdown, self.noise = first_moment, slowdown, noise
@@ -177,12 +181,13 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
         for role, trip in trips.items():
             own, real = steps[role], steps[OTHER[role]]
             judge, made = self._judge(OTHER[role]), self.policy.pace(*trip.abroad, OTHER[role])
-            pairs = torch.cat([self.policy.pace(*real.states, OTHER[role]), made.detach()])
-            judged = judge(self._blur(pairs), torch.cat([real.task, own.task]))[:, 0]
-            count = len(real.task)
+            found = self._blur(self.policy.pace(*real.states, OTHER[role])).requires_grad_()
+            real_judged = judge(found, real.task)[:, 0]
+            made_judged = judge(self._blur(made.detach()), own.task)[:, 0]
             yield {
                 "adversarial": passing_for_real(judge.judge(self._blur(made), own.task)[:, 0], own.moves),
-                "discriminator": real_or_made(judged[:count], judged[count:], real.moves, own.moves),
+                "discriminator": real_or_made(real_judged, made_judged, real.moves, own.moves),
+                "penalty": gradient_penalty(real_judged, found, real.moves),
             }
 
     def _blur(self, pairs: Tensor) -> Tensor:

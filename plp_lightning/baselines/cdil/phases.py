@@ -13,7 +13,7 @@ from plp_lightning.baselines.cdil.networks import Role
 from plp_lightning.baselines.cdil.policy import CdilPolicy
 from plp_lightning.baselines.known_states import KnownStates, course_of
 from plp_lightning.baselines.perception import PointReconstruction
-from plp_lightning.losses.translation import weighted_mean
+from plp_lightning.losses.weighted_mean import weighted_mean
 from plp_lightning.phases import Phase
 
 
