@@ -1,14 +1,17 @@
-"""The shape of the house: imports run one way, files are short, public names are documented."""
+"""The shape of the house: imports run one way, files are short, public names are documented, examples are true."""
 
 from __future__ import annotations
 
 import ast
+import doctest
+import importlib
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for package in ("datamodules", "plp_lightning") for path in (ROOT / package).rglob("*.py"))
@@ -166,6 +169,13 @@ def test_public_names_are_documented(module: str) -> None:
     bare = [node.name for node in public(tree) if not ast.get_docstring(node)]
     assert ast.get_docstring(tree)
     assert bare == []
+
+
+@pytest.mark.parametrize("module", [name for name, path in MODULES.items() if ">>> " in path.read_text()])
+def test_examples_do_what_they_say(module: str) -> None:
+    outcome = doctest.testmod(importlib.import_module(module), extraglobs={"torch": torch})
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
 
 
 @pytest.mark.parametrize("module", MODULES)
