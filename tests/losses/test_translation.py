@@ -2,12 +2,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from torch import Tensor
 
 from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made
-from plp_lightning.losses.weighted_mean import weighted_mean
 
 
 def draw(*shape: int, seed: int = 0) -> Tensor:
@@ -50,16 +47,6 @@ def test_a_batch_without_any_weight_costs_nothing_and_has_a_gradient() -> None:
     assert judged.grad.tolist() == [0, 0]
 
 
-@given(st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 1)), min_size=1, max_size=6), st.floats(0.1, 10))
-def test_weighted_mean_is_that_of_single_samples_whatever_the_unit_of_weights(
-    samples: list[tuple[float, float]], unit: float
-) -> None:
-    value, weight = torch.tensor(samples, dtype=torch.float64).T
-    expected = pytest.approx(one_by_one(value, weight), abs=1e-12)
-    assert weighted_mean(value, weight).item() == expected
-    assert weighted_mean(value, weight * unit).item() == expected
-
-
 def test_fooling_moves_judgements_up_and_discriminating_moves_them_down() -> None:
     judged, weight = torch.tensor([0.25], requires_grad=True), torch.ones(1)
     (up,) = torch.autograd.grad(passing_for_real(judged, weight), judged)
@@ -78,11 +65,6 @@ def test_cycle_is_the_mean_absolute_difference() -> None:
 def test_cycle_does_not_broadcast() -> None:
     with pytest.raises(AssertionError, match=r"expected \(4, 3\), got \(4, 1\)"):
         cycle(torch.zeros(4, 3), torch.zeros(4, 1))
-
-
-def test_weights_do_not_broadcast() -> None:
-    with pytest.raises(AssertionError, match=r"one weight a sample \(4,\), got \(1,\)"):
-        weighted_mean(torch.zeros(4), torch.ones(1))
 
 
 def test_position_gap_is_the_weighted_squared_difference() -> None:
