@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from plp_lightning.losses.gradient_penalty import gradient_penalty
+
 
 def discrimination(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
     """The discriminator's loss: cross-entropy of telling which domain a latent is from.
@@ -52,6 +54,47 @@ def confusion(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tenso
     """
     logits, own = _judge(discriminator, latents)
     return functional.cross_entropy(logits, (1 - own) / (len(latents) - 1))
+
+
+def slope(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
+    """The discriminator's penalty: half the squared slope of the log-odds it gives a latent's own domain.
+
+    Where the domains overlap, the discriminator could go on telling single latents apart by ever steeper logits, and
+    the encoder would be led by these instead of by where the domains lie. See :func:`gradient_penalty`, to which
+    the latents of every domain are real ones here.
+
+    Args:
+        discriminator: As in :func:`discrimination`.
+        latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits; detached here.
+
+    Returns:
+        Scalar, mean over the samples of all domains, whose gradient reaches the discriminator.
+
+    Example:
+        >>> slope(lambda latent: torch.cat([3 * latent, -latent], dim=1), [torch.zeros(4, 1), torch.ones(2, 1)])
+        tensor(8., grad_fn=<DivBackward0>)
+    """
+    real = torch.cat([latent.detach() for latent in latents]).requires_grad_()
+    logits, own = _judge(discriminator, real.split([len(latent) for latent in latents]))
+    odds = (own * logits).sum(dim=1) - logits.masked_fill(own > 0, -torch.inf).logsumexp(dim=1)
+    return gradient_penalty(odds, real, torch.ones_like(odds))
+
+
+def in_units_of_spread(latents: Sequence[Tensor]) -> list[Tensor]:
+    """Latents less their mean, over their mean standard deviation, both of all domains together and held constant.
+
+    A discriminator's slope says how finely it looks only in a unit that grows and shrinks with the latents.
+
+    Args:
+        latents: One tensor ``(B_d, Z)`` a domain, two rows or more together.
+
+    Example:
+        >>> in_units_of_spread([torch.tensor([[1.0]]), torch.tensor([[3.0]])])
+        [tensor([[-0.7071]]), tensor([[0.7071]])]
+    """
+    pooled = torch.cat([latent.detach() for latent in latents])
+    centre, spread = pooled.mean(dim=0), pooled.std(dim=0).mean()
+    return [(latent - centre) / spread.clamp_min(torch.finfo(spread.dtype).tiny) for latent in latents]
 
 
 def _judge(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> tuple[Tensor, Tensor]:

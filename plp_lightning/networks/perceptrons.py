@@ -89,9 +89,6 @@ class ActionDecoder(nn.Module):
 class DomainDiscriminator(nn.Module):
     """Tells from a latent state which domain it came from (paper, ablation "-disc": four hidden layers).
 
-    It is shown a batch of all domains together, and sees it in units of its spread: latent states that all
-    lie close to 0 would tell it next to nothing, and any that shrink would pass for another domain's.
-
     Args:
         latent: Z, size of latent states.
         domains: D, number of domains.
@@ -104,10 +101,8 @@ class DomainDiscriminator(nn.Module):
         self.net = mlp(latent, hidden, layers, domains)
 
     def forward(self, latent: Tensor) -> Tensor:
-        """``(B, Z)``, two or more, → logits ``(B, D)``; gradients reach the discriminator."""
-        seen = latent.detach()
-        spread = seen.std(dim=0).mean().clamp_min(torch.finfo(seen.dtype).tiny)
-        logits: Tensor = self.net((latent - seen.mean(dim=0)) / spread)
+        """``(B, Z)`` → logits ``(B, D)``; gradients reach the discriminator."""
+        logits: Tensor = self.net(latent)
         return logits
 
     def judge(self, latent: Tensor) -> Tensor:

@@ -11,7 +11,16 @@ from torch import Tensor
 from datamodules.errors import ConfigError
 from datamodules.types import Batch, Demand, Observation, Sequences, Transitions
 from plp_lightning.base_policy import Parts
-from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, reconstruction, tcc
+from plp_lightning.losses import (
+    behavioural_cloning,
+    confusion,
+    discrimination,
+    in_units_of_spread,
+    mmd,
+    reconstruction,
+    slope,
+    tcc,
+)
 from plp_lightning.networks import DomainDiscriminator, ImageDecoder
 from plp_lightning.networks.vision import halvings
 from plp_lightning.phases.base import Phase, Schedule
@@ -34,6 +43,7 @@ class Alignment(Phase[PortablePolicy]):
         mmd_weight: λ_MMD.
         tcc_weight: λ_TCC.
         adversarial_weight: Weight of the encoder's loss against the discriminator.
+        penalty_weight: γ of the penalty on the discriminator's slope, so that it can't become certain.
         reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
         mmd_scale_gradient: Let MMD's gradient flow through the mean distance that it divides by. Without, a few latent
             states can't lower the loss by running away from all others.
@@ -59,6 +69,7 @@ class Alignment(Phase[PortablePolicy]):
         mmd_weight: float = 0.1,
         tcc_weight: float = 0.2,
         adversarial_weight: float = 0.1,
+        penalty_weight: float = 1.0,
         reconstruction_weight: float = 1.0,
         reconstruction_halvings: int = 0,
         mmd_scale_gradient: bool = True,
@@ -77,6 +88,7 @@ class Alignment(Phase[PortablePolicy]):
             "mmd": mmd_weight,
             "tcc": tcc_weight,
             "adversarial": adversarial_weight,
+            "penalty": penalty_weight,
             "reconstruction": reconstruction_weight,
         }
         if not mmd_bandwidths or min(mmd_bandwidths) <= 0:
@@ -136,8 +148,11 @@ class Alignment(Phase[PortablePolicy]):
             parts["mmd"] = mmd(latents, self.mmd_scale_gradient, self.mmd_bandwidths)
         if self.discriminator is not None:
             # Each loss reaches one player only, so one optimiser step serves both.
-            parts["discriminator"] = discrimination(self.discriminator, latents)
-            parts["adversarial"] = confusion(self.discriminator.judge, latents)
+            seen = in_units_of_spread(latents)
+            parts["adversarial"] = confusion(self.discriminator.judge, seen)
+            parts["discriminator"] = discrimination(self.discriminator, seen)
+            if self.weights["penalty"] > 0:
+                parts["penalty"] = slope(self.discriminator, seen)
         return parts
 
     def _tcc(self, sequences: Sequence[tuple[Tensor, Sequences]]) -> Tensor:

@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 from torch import Tensor
-from torch.nn import Identity, Linear, functional
+from torch.nn import GELU, Identity, Linear, Sequential, functional
 
-from plp_lightning.losses import confusion, discrimination
+from plp_lightning.losses import confusion, discrimination, in_units_of_spread, slope
 
 
 def log_probability(row: list[float], domain: int) -> float:
@@ -65,6 +65,47 @@ def test_discrimination_teaches_the_discriminator_alone() -> None:
     assert all(latent.grad is None for latent in latents)
     assert discriminator.weight.grad is not None
     assert discriminator.weight.grad.abs().max() > 0
+
+
+@pytest.mark.parametrize("sizes", [(4, 2), (3, 1, 2)])
+def test_slope_is_that_of_finite_differences(sizes: tuple[int, ...]) -> None:
+    torch.manual_seed(0)
+    judge = Sequential(Linear(3, 5), GELU(), Linear(5, len(sizes)))
+    latents, step, found = [torch.randn(size, 3) for size in sizes], 1e-2, 0.0
+
+    def odds(latent: Tensor, own: int) -> float:
+        probability = judge(latent).double().softmax(0)[own].item()
+        return math.log(probability / (1 - probability))
+
+    for own, latent in enumerate(latents):
+        for row in latent:
+            ahead, behind = (row + sign * step * torch.eye(3) for sign in (1, -1))
+            found += sum(((odds(a, own) - odds(b, own)) / (2 * step)) ** 2 for a, b in zip(ahead, behind, strict=True))
+    assert slope(judge, latents).item() == pytest.approx(found / sum(sizes) / 2, rel=1e-2)
+
+
+def test_slope_teaches_the_discriminator_alone() -> None:
+    judge, latents = Linear(2, 2), [latent.requires_grad_() for latent in random_logits(3, 3)]
+    slope(judge, latents).backward()
+    assert all(latent.grad is None for latent in latents)
+    assert judge.weight.grad is not None
+    assert judge.weight.grad.abs().max() > 0
+
+
+def test_units_of_spread_feel_neither_scale_nor_shift_and_are_constant_to_gradients() -> None:
+    latents = [latent.requires_grad_() for latent in random_logits(4, 6)]
+    seen = in_units_of_spread(latents)
+    pooled = torch.cat(seen)
+    torch.testing.assert_close(pooled.mean(0), torch.zeros(2))
+    assert pooled.std(0).mean().item() == pytest.approx(1)
+    for same, other in zip(seen, in_units_of_spread([1e-3 * latent - 5 for latent in latents]), strict=True):
+        torch.testing.assert_close(same, other, rtol=1e-2, atol=1e-2)
+    (found,) = torch.autograd.grad(seen[0].sum(), latents[0])
+    torch.testing.assert_close(found, torch.ones(4, 2) / torch.cat(latents).std(0).mean())
+
+
+def test_latents_that_are_all_the_same_stay_finite() -> None:
+    assert all(latent.eq(0).all() for latent in in_units_of_spread([torch.ones(2, 3), torch.ones(1, 3)]))
 
 
 def test_half_precision_logits_are_compared_in_float32() -> None:

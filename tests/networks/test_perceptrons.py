@@ -46,14 +46,6 @@ def test_decoded_actions_lie_within_bounds() -> None:
     assert actions.abs().max() > 0.99
 
 
-def test_the_discriminator_sees_latents_in_units_of_their_spread() -> None:
-    discriminator, latent = DomainDiscriminator(4, 2, hidden=8, layers=2), torch.randn(6, 4) * torch.rand(4)
-    by_hand = (latent - latent.mean(0)) / latent.std(0).mean()
-    torch.testing.assert_close(discriminator(latent), discriminator.net(by_hand))
-    torch.testing.assert_close(discriminator(latent), discriminator(1e-3 * latent - 7), rtol=1e-3, atol=1e-3)
-    assert discriminator(torch.ones(3, 4)).isfinite().all()
-
-
 def test_judging_gives_the_same_logits_and_no_gradient_to_the_discriminator() -> None:
     discriminator = DomainDiscriminator(4, 2, hidden=8, layers=2)
     latent = torch.randn(5, 4, requires_grad=True)

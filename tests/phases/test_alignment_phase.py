@@ -11,7 +11,7 @@ from torch import Tensor
 
 from datamodules.errors import ConfigError
 from datamodules.types import Batch, Demand
-from plp_lightning.losses import behavioural_cloning, confusion, discrimination, mmd, tcc
+from plp_lightning.losses import behavioural_cloning, confusion, discrimination, in_units_of_spread, mmd, slope, tcc
 from plp_lightning.phases import Alignment
 from plp_lightning.phases.alignment import Term
 from plp_lightning.policy import PortablePolicy
@@ -28,7 +28,7 @@ class Recorded(Alignment):
 
 def build(policy: PortablePolicy, terms: list[Term]) -> Recorded:
     torch.manual_seed(1)
-    return Recorded(policy, terms, 0.3, 0.7, 0.9, discriminator_hidden=16, discriminator_layers=2)
+    return Recorded(policy, terms, 0.3, 0.7, 0.9, 0.6, discriminator_hidden=16, discriminator_layers=2)
 
 
 def separate_losses(phase: Alignment, batch: Batch) -> dict[str, Tensor]:
@@ -44,8 +44,10 @@ def separate_losses(phase: Alignment, batch: Batch) -> dict[str, Tensor]:
         masks = [s.mask for s in batch.pairs.values()]
         parts["tcc"] = tcc(frames[0], masks[0], frames[1], masks[1])
     if phase.discriminator is not None:
-        parts["discriminator"] = discrimination(phase.discriminator, latents)
-        parts["adversarial"] = confusion(phase.discriminator, latents)
+        seen = in_units_of_spread(latents)
+        parts["discriminator"] = discrimination(phase.discriminator, seen)
+        parts["penalty"] = slope(phase.discriminator, seen)
+        parts["adversarial"] = confusion(phase.discriminator, seen)
     return parts
 
 
@@ -72,7 +74,7 @@ def test_the_parts_of_a_step_are_the_separate_losses_and_their_weighted_sum(
     assert set(phase.parts) == {*expected, "loss", "latent_std"}
     for name, value in expected.items():
         torch.testing.assert_close(phase.parts[name], value, rtol=1e-4, atol=1e-6)
-    weights = {"mmd": 0.3, "tcc": 0.7, "adversarial": 0.9}
+    weights = {"mmd": 0.3, "tcc": 0.7, "adversarial": 0.9, "penalty": 0.6}
     by_hand = sum(weights.get(name, 1.0) * value.item() for name, value in expected.items())
     assert total.item() == pytest.approx(by_hand, rel=1e-5)
     assert torch.equal(phase.parts["loss"], total)
@@ -107,13 +109,21 @@ def test_each_adversarial_loss_teaches_one_player_only(trajectory_file: Path) ->
     total = phase.training_step(batch, 0)
     assert phase.discriminator is not None
     expected = separate_losses(phase, batch)
-    of_discriminator = gradients(expected["discriminator"], phase.discriminator)
+    of_discriminator = gradients(expected["discriminator"] + 0.6 * expected["penalty"], phase.discriminator)
     assert all(g.abs().sum() > 0 for g in of_discriminator)
-    torch.testing.assert_close(gradients(total, phase.discriminator), of_discriminator)
+    torch.testing.assert_close(gradients(total, phase.discriminator), of_discriminator, rtol=1e-3, atol=1e-6)
     of_encoder = gradients(expected["bc"] + 0.9 * expected["adversarial"], phase.policy.encoder)
     torch.testing.assert_close(gradients(total, phase.policy.encoder), of_encoder, rtol=1e-3, atol=1e-6)
-    assert all(g.abs().sum() == 0 for g in gradients(phase.parts["discriminator"], phase.policy.encoder))
+    for of_the_other in ("discriminator", "penalty"):
+        assert all(g.abs().sum() == 0 for g in gradients(phase.parts[of_the_other], phase.policy.encoder))
     assert all(g.abs().sum() == 0 for g in gradients(phase.parts["adversarial"], phase.discriminator))
+
+
+def test_without_a_penalty_none_is_computed(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = Recorded(tiny.policy(data), ["adversarial"], penalty_weight=0)
+    phase.training_step(next(iter(data.loader(phase.demand))), 0)
+    assert phase.parts.keys() == {"bc", "adversarial", "discriminator", "loss", "latent_std"}
 
 
 def test_the_spread_of_the_latents_is_watched(trajectory_file: Path) -> None:
