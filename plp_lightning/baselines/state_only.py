@@ -47,6 +47,7 @@ class StateOnlyAlignment(Alignment):
         mmd_weight: λ_MMD.
         tcc_weight: λ_TCC.
         adversarial_weight: Weight of the encoder's loss against the discriminator.
+        penalty_weight: γ of the penalty on the discriminator's slope.
         reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
         reconstruction_halvings: How often images are halved before.
         mmd_bandwidths: Widths of MMD's kernels, in mean distances.
@@ -69,6 +70,7 @@ class StateOnlyAlignment(Alignment):
         mmd_weight: float = 0.1,
         tcc_weight: float = 0.2,
         adversarial_weight: float = 0.1,
+        penalty_weight: float = 1.0,
         reconstruction_weight: float = 1.0,
         reconstruction_halvings: int = 0,
         mmd_bandwidths: Sequence[float] = (1.0,),
@@ -81,11 +83,12 @@ class StateOnlyAlignment(Alignment):
         super().__init__(
             policy,
             terms,
-            mmd_weight,
-            tcc_weight,
-            adversarial_weight,
-            reconstruction_weight,
-            reconstruction_halvings,
+            mmd_weight=mmd_weight,
+            tcc_weight=tcc_weight,
+            adversarial_weight=adversarial_weight,
+            penalty_weight=penalty_weight,
+            reconstruction_weight=reconstruction_weight,
+            reconstruction_halvings=reconstruction_halvings,
             mmd_bandwidths=mmd_bandwidths,
             epochs=epochs,
             lr=lr,

@@ -170,6 +170,21 @@ def test_inverse_dynamics_has_to_see_the_state(trajectory_file: Path) -> None:
         StateOnlyAlignment(blind, ["mmd"])
 
 
+def test_every_setting_of_alignment_arrives_under_its_name(trajectory_file: Path) -> None:
+    phase = StateOnlyAlignment(
+        build(tiny.data_module(trajectory_file)),
+        ["mmd"],
+        mmd_weight=0.2,
+        tcc_weight=0.3,
+        adversarial_weight=0.4,
+        penalty_weight=0.5,
+        reconstruction_weight=0.6,
+        mmd_bandwidths=[0.7],
+    )
+    assert phase.weights == {"mmd": 0.2, "tcc": 0.3, "adversarial": 0.4, "penalty": 0.5, "reconstruction": 0.6}
+    assert phase.mmd_bandwidths == (0.7,)
+
+
 def test_its_phases_train_no_other_policy(trajectory_file: Path) -> None:
     policy = tiny.policy(tiny.data_module(trajectory_file))
     with pytest.raises(ConfigError, match="phase StateOnlyAdaptation trains a StateOnlyPolicy, found a PortablePolicy"):
