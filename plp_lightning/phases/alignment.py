@@ -23,7 +23,7 @@ from plp_lightning.losses import (
 )
 from plp_lightning.networks import DomainDiscriminator, ImageDecoder
 from plp_lightning.networks.vision import halvings
-from plp_lightning.phases.base import Phase, Schedule
+from plp_lightning.phases.base import Phase, Schedule, loss_weights
 from plp_lightning.policy import PortablePolicy
 
 Term = Literal["mmd", "tcc", "adversarial"]
@@ -58,6 +58,9 @@ class Alignment(Phase[PortablePolicy]):
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
         lr_schedule: Of the learning rate; the paper names none.
+
+    Raises:
+        ConfigError: If a weight is below 0, or a kernel of MMD has no width.
     """
 
     trains = PortablePolicy
@@ -84,13 +87,8 @@ class Alignment(Phase[PortablePolicy]):
         lr_schedule: Schedule = "constant",
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
-        self.weights: dict[str, float] = {
-            "mmd": mmd_weight,
-            "tcc": tcc_weight,
-            "adversarial": adversarial_weight,
-            "penalty": penalty_weight,
-            "reconstruction": reconstruction_weight,
-        }
+        weights = {"mmd": mmd_weight, "tcc": tcc_weight, "adversarial": adversarial_weight, "penalty": penalty_weight}
+        self.weights = loss_weights(weights | {"reconstruction": reconstruction_weight})
         if not mmd_bandwidths or min(mmd_bandwidths) <= 0:
             raise ConfigError(f"mmd_bandwidths is {[*mmd_bandwidths]}; expected one or more widths above 0")
         self.mmd_scale_gradient, self.mmd_bandwidths = mmd_scale_gradient, tuple(mmd_bandwidths)

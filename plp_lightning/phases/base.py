@@ -19,6 +19,18 @@ P = TypeVar("P", bound=Policy)
 Schedule = Literal["constant", "cosine"]
 
 
+def loss_weights(weights: Mapping[str, float]) -> dict[str, float]:
+    """Weights of a phase's losses, by name.
+
+    Raises:
+        ConfigError: If one is below 0: the loss would be made as large as can be.
+    """
+    for name, weight in weights.items():
+        if weight < 0:
+            raise ConfigError(f"the weight of {name} is {weight}; expected 0 or more; set alignment.{name}_weight")
+    return dict(weights)
+
+
 class Phase(LightningModule, Generic[P]):
     """One training stage of a method, run by its own Trainer.
 

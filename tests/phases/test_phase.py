@@ -10,10 +10,12 @@ import tiny
 import torch
 from lightning.pytorch import Callback, Trainer
 
+from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.types import Demand
 from plp_lightning.callbacks.checkpointing import RandomState, best_and_last, read_checkpoint
 from plp_lightning.phases import Adaptation, Alignment
+from plp_lightning.phases.base import loss_weights
 from plp_lightning.policy import PortablePolicy
 from plp_lightning.runs.metrics_file import MetricsFile
 
@@ -112,3 +114,15 @@ def test_cosine_lowers_the_rate_to_nothing_over_the_whole_phase(
     steps = 2 * len(data.loader(Demand()))
     assert rates == pytest.approx([0.25 * (1 + math.cos(math.pi * i / steps)) for i in range(steps)])
     assert trainer.optimizers[0].param_groups[0]["lr"] == pytest.approx(0)
+
+
+@pytest.mark.parametrize("name", ["mmd", "tcc", "adversarial", "penalty", "reconstruction"])
+def test_no_weight_is_below_zero(name: str, trajectory_file: Path) -> None:
+    policy = tiny.policy(tiny.data_module(trajectory_file))
+    wanted = rf"the weight of {name} is -0.1; expected 0 or more; set alignment.{name}_weight"
+    with pytest.raises(ConfigError, match=wanted):
+        Alignment(policy, ["mmd"], **{f"{name}_weight": -0.1})
+
+
+def test_weights_come_back_as_they_were() -> None:
+    assert loss_weights({"mmd": 0.0, "tcc": 2.5}) == {"mmd": 0.0, "tcc": 2.5}

@@ -16,6 +16,7 @@ from plp_lightning.baselines.cdil.policy import CdilPolicy
 from plp_lightning.baselines.known_states import KnownStates, course_of
 from plp_lightning.losses.gradient_penalty import gradient_penalty
 from plp_lightning.losses.translation import cycle, passing_for_real, position_gap, real_or_made
+from plp_lightning.phases.base import loss_weights
 
 
 class Steps(NamedTuple):
@@ -72,6 +73,9 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
         epochs: Passes over all data that there is.
         lr: Learning rate of AdamW.
         weight_decay: Weight decay of AdamW.
+
+    Raises:
+        ConfigError: If a weight is below 0, or ``slowdown`` no share.
     """
 
     demand = Demand("all", images=False, course=True)
@@ -99,14 +103,15 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
         super().__init__(policy, epochs, lr, weight_decay)
         if not 0 <= slowdown <= 1:
             raise ConfigError(f"alignment.slowdown is {slowdown}; expected a share from 0 to 1; set one")
-        self.weights = {
-            "adversarial": adversarial_weight,
-            "cycle": cycle_weight,
-            "latent": latent_weight,
-            "position": position_weight,
-            "discriminator": 1.0,
-            "penalty": penalty_weight,
-        }
+        self.weights = {"discriminator": 1.0} | loss_weights(
+            {
+                "adversarial": adversarial_weight,
+                "cycle": cycle_weight,
+                "latent": latent_weight,
+                "position": position_weight,
+                "penalty": penalty_weight,
+            }
+        )
         self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
         self.first_moment, self.slowdown, self.noise = first_moment, slowdown, noise
         sizes = {role: policy.perception.sizes[domain] for domain, role in policy.roles.items()}

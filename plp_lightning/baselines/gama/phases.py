@@ -16,7 +16,7 @@ from plp_lightning.baselines.perception import PointReconstruction
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.losses.gama import passing, telling_apart, unexplained_change
 from plp_lightning.losses.gradient_penalty import gradient_penalty
-from plp_lightning.phases.base import Phase, Schedule
+from plp_lightning.phases.base import Phase, Schedule, loss_weights
 
 
 class GamaPretraining(Phase[GamaPolicy]):
@@ -118,6 +118,9 @@ class GamaAlignment(GamaPhase):
         lr: Learning rate of both maps.
         weight_decay: Weight decay of AdamW.
         lr_schedule: Of all learning rates.
+
+    Raises:
+        ConfigError: If a weight is below 0.
     """
 
     demand = Demand(images=False, course=True)
@@ -137,7 +140,7 @@ class GamaAlignment(GamaPhase):
         lr_schedule: Schedule = "constant",
     ) -> None:
         super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
-        self.weights = {"adversarial": adversarial_weight, "penalty": penalty_weight}
+        self.weights = loss_weights({"adversarial": adversarial_weight, "penalty": penalty_weight})
         self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
         states, actions = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size
         self.discriminator = TransitionDiscriminator(
