@@ -103,15 +103,9 @@ class CdilAlignment(CdilPhase, KnownStates[CdilPolicy]):
         super().__init__(policy, epochs, lr, weight_decay)
         if not 0 <= slowdown <= 1:
             raise ConfigError(f"alignment.slowdown is {slowdown}; expected a share from 0 to 1; set one")
-        self.weights = {"discriminator": 1.0} | loss_weights(
-            {
-                "adversarial": adversarial_weight,
-                "cycle": cycle_weight,
-                "latent": latent_weight,
-                "position": position_weight,
-                "penalty": penalty_weight,
-            }
-        )
+        weights = {"adversarial": adversarial_weight, "cycle": cycle_weight, "latent": latent_weight}
+        weights |= {"position": position_weight, "discriminator": 1.0, "penalty": penalty_weight}
+        self.weights = loss_weights(weights)
         self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
         self.first_moment, self.slowdown, self.noise = first_moment, slowdown, noise
         sizes = {role: policy.perception.sizes[domain] for domain, role in policy.roles.items()}
