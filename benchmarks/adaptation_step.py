@@ -17,10 +17,10 @@ import torch
 from training_step import make_data, timed_fit
 
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Demand
+from datamodules.types import BatchSpec
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.phases import Adaptation
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.methods import Adaptation
+from plp_lightning.methods.plp.policy import PortablePolicy
 
 
 def naive_loop(data: TransferDataModule, steps: int) -> float:
@@ -29,10 +29,10 @@ def naive_loop(data: TransferDataModule, steps: int) -> float:
     policy.encoder.requires_grad_(False)
     policy.decoder.requires_grad_(False)
     optimizer = torch.optim.AdamW(policy.common.parameters(), lr=1e-4, weight_decay=0.0, fused=True)
-    batches = iter(data.loader(Demand("mix")))
+    batches = iter(data.loader(BatchSpec("mix")))
     began = time.process_time()
     for _ in range(steps):
-        transitions = next(batches).transitions
+        transitions = next(batches).steps
         out = policy({d: s.observation for d, s in transitions.items()}, {d: s.task for d, s in transitions.items()})
         loss = behavioural_cloning(out.action, {d: s.action for d, s in transitions.items()})
         optimizer.zero_grad()

@@ -14,12 +14,12 @@ import time
 import numpy as np
 import torch
 
+from datamodules.batches.dataset import build_dataset
 from datamodules.problem import TransferProblem
-from datamodules.table import build_table
-from datamodules.types import Observation, Sequences
-from plp_lightning.baselines import ContextualPolicy
+from datamodules.types import Observation, PackedTrajectories
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
+from plp_lightning.methods import ContextualPolicy
 
 HORIZON, DEMONSTRATION = 400, 266
 WITHOUT_CACHE = (100, 200, 300, 400)
@@ -33,8 +33,10 @@ def policy_of(maze: PointMaze) -> ContextualPolicy:
     count, rng = len(maze.tasks), np.random.default_rng(0)
     state = rng.normal(size=(count * DEMONSTRATION, domains[0].state_size)).astype(np.float32)
     action = rng.uniform(-1, 1, (len(state), domains[0].action_size)).astype(np.float32)
-    table = build_table(domains[0], state, None, action, np.arange(count + 1) * DEMONSTRATION, *[np.arange(count)] * 2)
-    policy.prompts.choose(table, {task: task for task in range(count)})
+    dataset = build_dataset(
+        domains[0], state, None, action, np.arange(count + 1) * DEMONSTRATION, *[np.arange(count)] * 2
+    )
+    policy.prompts.choose(dataset, {task: task for task in range(count)})
     return policy.eval()
 
 
@@ -45,7 +47,7 @@ def seconds_without_cache(policy: ContextualPolicy, tasks: list[str], steps: int
     shown = policy.prompts.of(torch.tensor([policy.tasks[task] for task in tasks]))
     frame = torch.arange(count * steps).view(count, steps)
     seen = Observation(torch.randn(count * steps, policy.target.state_size))
-    episodes = Sequences(seen, frame, torch.ones_like(frame, dtype=torch.bool), torch.empty(0))
+    episodes = PackedTrajectories(seen, frame, torch.ones_like(frame, dtype=torch.bool), torch.empty(0))
     began = time.perf_counter()
     policy(shown, episodes)
     return time.perf_counter() - began
@@ -62,7 +64,7 @@ def main() -> None:
     for title, count in (("one task", 1), ("all tasks in turn", len(maze.tasks))):
         tasks = [maze.tasks[i % count] for i in range(options.episodes)]
         began, used = time.perf_counter(), time.process_time()
-        rollout(maze, policy.actor("point", tasks), tasks, list(range(len(tasks))), linger=HORIZON)
+        rollout(maze, policy.actor("point", tasks), tasks, list(range(len(tasks))), hold_steps=HORIZON)
         took, used = time.perf_counter() - began, time.process_time() - used
         print(
             f"{title}: {options.episodes} x {HORIZON} steps in {took:.1f} s, {used:.1f} s of processor time", flush=True

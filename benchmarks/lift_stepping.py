@@ -15,11 +15,11 @@ from functools import partial
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.experts.lift import LiftExpert
 from plp_lightning.envs.lift.model import robosuite_env
 from plp_lightning.envs.lift.osc import STATE, SUBSTEPS
 from plp_lightning.envs.lift.simulator import Lift, Robot
 from plp_lightning.envs.threads import available_cores
-from plp_lightning.experts.lift import LiftExpert
 
 ROBOSUITE_SHARE = 4
 """Of the 27 episodes, those that the slow loop of robosuite steps in each round."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from plp_lightning.losses import mmd, tcc
+from plp_lightning.methods.plp.losses import mmd, tcc
 
 ROUNDS = 60
 EXACT, PRODUCT = "donot_use_mm_for_euclid_dist", "use_mm_for_euclid_dist"

@@ -18,15 +18,17 @@ import numpy as np
 import torch
 from lightning.pytorch import Trainer
 
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Demand, DomainSpec, Observation, ObservationKey, Trajectory
+from datamodules.types import BatchSpec, DomainSpec, Observation, ObservationKey, Trajectory
 from plp_lightning.callbacks.checkpointing import RandomState
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
-from plp_lightning.losses import behavioural_cloning, mmd
-from plp_lightning.phases import Alignment, Phase
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.losses import behavioural_cloning
+from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.plp import Alignment
+from plp_lightning.methods.plp.losses import mmd
+from plp_lightning.methods.plp.policy import PortablePolicy
 
 TASKS = [f"task_{i}" for i in range(17)]
 
@@ -54,7 +56,7 @@ def make_data(folder: Path, batch_size: int, steps: int, pairs: int, length: int
     return TransferDataModule(
         path=path,
         tasks=TASKS,
-        proxies=TASKS[:16],
+        proxy_tasks=TASKS[:16],
         target_tasks=TASKS[16:],
         domains=["a", "b"],
         source_domain="a",
@@ -62,7 +64,7 @@ def make_data(folder: Path, batch_size: int, steps: int, pairs: int, length: int
         target=TASKS[16],
         trajectories=per_task * 16,
         target_trajectories=per_task,
-        held_out=0.0,
+        val_fraction=0.0,
         batch_size=batch_size,
         pairs=pairs,
     )
@@ -72,10 +74,10 @@ def plain_loop(data: TransferDataModule, steps: int) -> float:
     """CPU seconds a step of a bare loop: gather, forward, losses, backward, AdamW."""
     policy = PortablePolicy(data.problem)
     optimizer = torch.optim.AdamW(policy.parameters(), lr=1e-4, weight_decay=0.0, fused=True)
-    batches = iter(data.loader(Demand("proxies")))
+    batches = iter(data.loader(BatchSpec("proxy_tasks")))
     began = time.process_time()
     for _ in range(steps):
-        transitions = next(batches).transitions
+        transitions = next(batches).steps
         out = policy({d: s.observation for d, s in transitions.items()}, {d: s.task for d, s in transitions.items()})
         loss = behavioural_cloning(out.action, {d: s.action for d, s in transitions.items()})
         loss = loss + 0.1 * mmd(list(out.latent.values()))
@@ -122,7 +124,7 @@ class StepTimer(RandomState):
 
 def loader_alone(data: TransferDataModule, steps: int) -> float:
     """CPU seconds to gather one batch."""
-    batches = iter(data.loader(Demand("proxies")))
+    batches = iter(data.loader(BatchSpec("proxy_tasks")))
     next(batches)
     began = time.process_time()
     for _ in range(steps - 1):

@@ -23,14 +23,15 @@ from lightning.pytorch import Trainer
 from torch import Tensor, nn
 from training_step import StepTimer
 
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Demand, DomainSpec, Observation, ObservationKey, Trajectory
+from datamodules.types import BatchSpec, DomainSpec, Observation, ObservationKey, Trajectory
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
-from plp_lightning.losses import behavioural_cloning, mmd
-from plp_lightning.phases import Alignment
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.losses import behavioural_cloning
+from plp_lightning.methods.plp import Alignment
+from plp_lightning.methods.plp.losses import mmd
+from plp_lightning.methods.plp.policy import PortablePolicy
 
 TASKS = ["red", "green", "blue"]
 SIDE, STEPS, HAND = 64, 40, 8
@@ -62,7 +63,7 @@ def make_data(folder: Path, steps: int) -> TransferDataModule:
     return TransferDataModule(
         path=folder / "random.hdf5",
         tasks=TASKS,
-        proxies=TASKS[:2],
+        proxy_tasks=TASKS[:2],
         target_tasks=TASKS[2:],
         domains=["left", "right"],
         source_domain="left",
@@ -70,7 +71,7 @@ def make_data(folder: Path, steps: int) -> TransferDataModule:
         target="blue",
         trajectories=2 * count,
         target_trajectories=count,
-        held_out=0.0,
+        val_fraction=0.0,
         batch_size=64,
         pairs=8,
     )
@@ -103,10 +104,10 @@ def plain_loop(data: TransferDataModule, steps: int) -> float:
     """CPU seconds a step of the plain loop, single precision."""
     net = PlainNetwork()
     optimizer = torch.optim.AdamW(net.parameters(), lr=5e-4, weight_decay=0.0)
-    batches = iter(data.loader(Demand("proxies")))
+    batches = iter(data.loader(BatchSpec("proxy_tasks")))
     began = time.process_time()
     for _ in range(steps):
-        loss = _plain_loss(net, data, next(batches).transitions)
+        loss = _plain_loss(net, data, next(batches).steps)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -138,7 +139,7 @@ def phase_loop(
 ) -> float:
     """CPU seconds a step of the Alignment phase."""
     policy = PortablePolicy(data.problem)
-    phase = Alignment(policy, ["mmd"], reconstruction_weight=weight, reconstruction_halvings=halved)
+    phase = Alignment(policy, ["mmd"], reconstruction_weight=weight, reconstruction_downsampling=halved)
     if not channels_last:
         _transpose_images(phase)
     timer = StepTimer()

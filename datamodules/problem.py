@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from datamodules.normalization import Statistics
+from datamodules.batches.normalization import Statistics
 from datamodules.types import DomainSpec
 
 

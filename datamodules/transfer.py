@@ -13,17 +13,17 @@ import torch
 from filelock import FileLock
 from lightning.pytorch import LightningDataModule
 
+from datamodules.batches.dataset import DomainDataset, build_dataset
+from datamodules.batches.images import Images, stored_images
+from datamodules.batches.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
+from datamodules.batches.normalization import Statistics
+from datamodules.batches.orders import AlignmentOrder, MixOrder, NoSteps, PairOrder, TaskwiseOrder, generator
 from datamodules.errors import MissingTrajectoriesError
-from datamodules.hdf5 import TrajectoryFile
-from datamodules.images import Images, stored_images
-from datamodules.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
-from datamodules.normalization import Statistics
 from datamodules.problem import TransferProblem
-from datamodules.sampler import AlignmentOrder, MixOrder, NoSteps, PairOrder, TaskwiseOrder, generator
-from datamodules.table import Table, build_table
-from datamodules.types import Batch, Collector, Demand, DomainSpec
+from datamodules.store.writer import TrajectoryFile
+from datamodules.types import Batch, BatchSpec, Collector, DomainSpec
 
-Part = Literal["train", "held_out"]
+Part = Literal["train", "val"]
 
 
 class TransferDataModule(LightningDataModule):
@@ -35,19 +35,19 @@ class TransferDataModule(LightningDataModule):
     Args:
         path: The trajectory file.
         tasks: All task names of the experiment, in canonical order; their positions are the task indices.
-        proxies: Tasks that align the domains.
+        proxy_tasks: Tasks that align the domains.
         target_tasks: Tasks that make up the target (one, or a goal from several start zones).
         domains: Names of the domains, in order.
         source_domain: Domain whose demonstrations of the target adapt the policy.
         target_domain: Domain that the policy is transferred to.
-        target: Name of the target task.
+        target_task: Name of the target task.
         trajectories: Demonstrations of all proxy tasks together, for each domain.
         target_trajectories: Demonstrations of the target, all its tasks together.
-        held_out: Share of the trajectories that is kept from training, for the held-out loss.
+        val_fraction: Share of the trajectories that is kept from training, for the held-out loss.
         batch_size: Steps in a batch, all domains together.
         pairs: Trajectory pairs in a batch, for phases that ask for them.
         stride: One of so many frames of a paired trajectory is kept.
-        mix: Alignment steps for each target step in adaptation, drawn anew each epoch.
+        mix_ratio: Alignment steps for each target step in adaptation, drawn anew each epoch.
         seed: Seed of every draw.
         image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches
             ask for them, and as much of them is kept. The batches are the same.
@@ -61,19 +61,19 @@ class TransferDataModule(LightningDataModule):
         self,
         path: Path,
         tasks: Sequence[str],
-        proxies: Sequence[str],
+        proxy_tasks: Sequence[str],
         target_tasks: Sequence[str],
         domains: Sequence[str],
         source_domain: str,
         target_domain: str,
-        target: str,
+        target_task: str,
         trajectories: int = 1000,
         target_trajectories: int = 64,
-        held_out: float = 0.05,
+        val_fraction: float = 0.05,
         batch_size: int = 512,
         pairs: int = 32,
         stride: int = 16,
-        mix: float = 2.0,
+        mix_ratio: float = 2.0,
         seed: int = 0,
         image_memory: float = 4.0,
         source_trajectories: int | None = None,
@@ -82,38 +82,38 @@ class TransferDataModule(LightningDataModule):
     ) -> None:
         super().__init__()
         self.path, self.tasks, self.domains = path, tuple(tasks), tuple(domains)
-        self.proxies, self.target_tasks, self.target = tuple(proxies), tuple(target_tasks), target
+        self.proxy_tasks, self.target_tasks, self.target_task = tuple(proxy_tasks), tuple(target_tasks), target_task
         self.source_domain, self.target_domain = source_domain, target_domain
         self.trajectories, self.target_trajectories = trajectories, target_trajectories
         self.source_trajectories = source_trajectories or trajectories
-        self.held_out, self.batch_size, self.pairs, self.stride = held_out, batch_size, pairs, stride
-        self.mix, self.seed, self.image_memory, self.collector = mix, seed, image_memory, collector
+        self.val_fraction, self.batch_size, self.pairs, self.stride = val_fraction, batch_size, pairs, stride
+        self.mix_ratio, self.seed, self.image_memory, self.collector = mix_ratio, seed, image_memory, collector
         self.tasks_per_batch = tasks_per_batch
         self._loader: Loader | None = None
         self._cursor: Mapping[str, int] | None = None
 
     # -- what is needed, and what is there ---------------------------------------------------------
 
-    def demand(self) -> dict[str, dict[str, int]]:
-        """Demonstrations that the experiment needs: ``demand[domain][task]``."""
-        needed = {domain: dict.fromkeys(self.proxies, self._per_proxy(domain)) for domain in self.domains}
+    def needed(self) -> dict[str, dict[str, int]]:
+        """Demonstrations that the experiment needs: ``batch_spec[domain][task]``."""
+        needed = {domain: dict.fromkeys(self.proxy_tasks, self._per_proxy(domain)) for domain in self.domains}
         per_target = -(-self.target_trajectories // len(self.target_tasks))
         needed[self.source_domain] |= dict.fromkeys(self.target_tasks, per_target)
         return needed
 
     def _per_proxy(self, domain: str) -> int:
         total = self.trajectories if domain == self.target_domain else self.source_trajectories
-        return -(-total // len(self.proxies))
+        return -(-total // len(self.proxy_tasks))
 
     def missing(self) -> dict[str, dict[str, int]]:
-        """The part of :meth:`demand` that the file lacks; empty if nothing is missing."""
+        """The part of :meth:`batch_spec` that the file lacks; empty if nothing is missing."""
         counts: Mapping[str, Mapping[str, int]] = {}
         if self.path.exists():
             with TrajectoryFile.open(self.path) as file:
                 counts = file.counts()
         lacking = {
             domain: {task: n - counts.get(domain, {}).get(task, 0) for task, n in tasks.items()}
-            for domain, tasks in self.demand().items()
+            for domain, tasks in self.needed().items()
         }
         found = {domain: {task: n for task, n in tasks.items() if n > 0} for domain, tasks in lacking.items()}
         return {domain: tasks for domain, tasks in found.items() if tasks}
@@ -137,10 +137,10 @@ class TransferDataModule(LightningDataModule):
             if missing and self.collector is not None:
                 self.collector(self.path, missing)
 
-    # -- tables and their parts --------------------------------------------------------------------
+    # -- datasets and their parts --------------------------------------------------------------------
 
     @cached_property
-    def tables(self) -> dict[str, Table]:
+    def datasets(self) -> dict[str, DomainDataset]:
         """By domain: the trajectories that this run may see, read once."""
         with TrajectoryFile.open(self.path) as file:
             chosen = {domain: self._chosen(file, domain) for domain in self.domains}
@@ -149,19 +149,19 @@ class TransferDataModule(LightningDataModule):
 
     def _chosen(self, file: TrajectoryFile, domain: str) -> np.ndarray:
         task = file.episodes(domain).task
-        return np.sort(np.concatenate([np.flatnonzero(task == k)[:n] for k, n in self.demand()[domain].items()]))
+        return np.sort(np.concatenate([np.flatnonzero(task == k)[:n] for k, n in self.needed()[domain].items()]))
 
-    def _read(self, file: TrajectoryFile, domain: str, chosen: np.ndarray, image: Images | None) -> Table:
+    def _read(self, file: TrajectoryFile, domain: str, chosen: np.ndarray, image: Images | None) -> DomainDataset:
         arrays = file.read(domain, chosen, images=False)
         index = {name: i for i, name in enumerate(self.tasks)}
         episode_task = np.array([index[name] for name in arrays.task])
         seed = file.episodes(domain).seed[chosen]
-        return build_table(file.spec(domain), arrays.state, image, arrays.actions, arrays.offset, episode_task, seed)
+        return build_dataset(file.spec(domain), arrays.state, image, arrays.actions, arrays.offset, episode_task, seed)
 
     @property
     def specs(self) -> list[DomainSpec]:
         """What each domain looks like, in order."""
-        return [table.spec for table in self.tables.values()]
+        return [dataset.spec for dataset in self.datasets.values()]
 
     @property
     def problem(self) -> TransferProblem:
@@ -172,52 +172,58 @@ class TransferDataModule(LightningDataModule):
     def fingerprint(self) -> str:
         """SHA-256 of everything that this run trains on."""
         digest = hashlib.sha256()
-        for table in self.tables.values():
-            for piece in table.pieces():
+        for dataset in self.datasets.values():
+            for piece in dataset.pieces():
                 digest.update(np.ascontiguousarray(piece.numpy()).data)
         return digest.hexdigest()
 
     def episodes(self, domain: str, tasks: Sequence[str], part: Part) -> np.ndarray:
         """Trajectory ids of ``tasks`` in one part of a domain's data; the parts never overlap."""
         wanted = np.array([self.tasks.index(task) for task in tasks])
-        ids = self.tables[domain].episodes_of(wanted)
+        ids = self.datasets[domain].episodes_of(wanted)
         order = generator(0, len(ids)).permutation(ids)
-        count = max(1, round(self.held_out * len(ids))) if self.held_out > 0 and len(ids) > 1 else 0
-        return np.sort(order[:count] if part == "held_out" else order[count:])
+        count = max(1, round(self.val_fraction * len(ids))) if self.val_fraction > 0 and len(ids) > 1 else 0
+        return np.sort(order[:count] if part == "val" else order[count:])
 
     def rows(self, tasks: Sequence[str], part: Part) -> dict[str, np.ndarray]:
         """Rows of ``tasks`` by domain; domains without any are left out."""
-        found = {d: table.rows_of(self.episodes(d, tasks, part)) for d, table in self.tables.items()}
+        found = {d: dataset.rows_of(self.episodes(d, tasks, part)) for d, dataset in self.datasets.items()}
         return {domain: rows for domain, rows in found.items() if len(rows)}
 
     def statistics(self) -> dict[str, Statistics]:
         """Of the raw states that the alignment phase trains on, by domain."""
-        rows = self.rows(self.proxies, "train")
-        return {d: Statistics.fit(self.tables[d].observation.state.numpy()[r]) for d, r in rows.items()}
+        rows = self.rows(self.proxy_tasks, "train")
+        return {d: Statistics.fit(self.datasets[d].observation.state.numpy()[r]) for d, r in rows.items()}
 
     # -- batches -----------------------------------------------------------------------------------
 
-    def loader(self, demand: Demand) -> Loader:
+    def loader(self, batch_spec: BatchSpec) -> Loader:
         """Training batches of a phase."""
-        tables = self._tables(demand)
-        stride = self.stride if demand.pairs == "thinned" else 1
-        pairs = None if demand.pairs == "none" else PairSource(tables, self._pair_order(), stride)
-        return Loader(tables, self._order(demand), pairs, demand.course)
+        datasets = self._tables(batch_spec)
+        stride = self.stride if batch_spec.pairs == "thinned" else 1
+        pairs = None if batch_spec.pairs == "none" else PairSource(datasets, self._pair_order(), stride)
+        return Loader(datasets, self._order(batch_spec), pairs, batch_spec.course)
 
-    def _order(self, demand: Demand) -> Order:
-        if demand.steps == "none":
+    def _order(self, batch_spec: BatchSpec) -> Order:
+        if batch_spec.steps == "none":
             return NoSteps(self._pair_batches())
-        proxies = self.rows(self.proxies, "train")
-        if demand.steps == "mix":
-            return MixOrder(self.rows(self.target_tasks, "train"), proxies, self.mix, self.batch_size, self.seed)
-        rows = proxies if demand.steps == "proxies" else self.rows([*self.proxies, *self.target_tasks], "train")
+        proxy_tasks = self.rows(self.proxy_tasks, "train")
+        if batch_spec.steps == "mix":
+            return MixOrder(
+                self.rows(self.target_tasks, "train"), proxy_tasks, self.mix_ratio, self.batch_size, self.seed
+            )
+        rows = (
+            proxy_tasks
+            if batch_spec.steps == "proxy_tasks"
+            else self.rows([*self.proxy_tasks, *self.target_tasks], "train")
+        )
         if self.tasks_per_batch is None:
             return AlignmentOrder(rows, self.batch_size, self.seed)
-        tasks = {domain: self.tables[domain].task.numpy()[found] for domain, found in rows.items()}
+        tasks = {domain: self.datasets[domain].task.numpy()[found] for domain, found in rows.items()}
         return TaskwiseOrder(rows, tasks, self.tasks_per_batch, self.batch_size, self.seed)
 
-    def _tables(self, demand: Demand) -> dict[str, Table]:
-        return {d: table if demand.images else table.without_images() for d, table in self.tables.items()}
+    def _tables(self, batch_spec: BatchSpec) -> dict[str, DomainDataset]:
+        return {d: dataset if batch_spec.images else dataset.without_images() for d, dataset in self.datasets.items()}
 
     def _pair_order(self) -> PairOrder:
         episodes = {domain: self.episodes_by_task(domain) for domain in self.domains}
@@ -225,23 +231,23 @@ class TransferDataModule(LightningDataModule):
 
     def _pair_batches(self) -> int:
         """So many that as many pairs are drawn as the target domain has trajectories."""
-        return -(-len(self.episodes(self.target_domain, self.proxies, "train")) // self.pairs)
+        return -(-len(self.episodes(self.target_domain, self.proxy_tasks, "train")) // self.pairs)
 
-    def _held_out_pairs(self, tables: Mapping[str, Table]) -> FixedPairs:
+    def _held_out_pairs(self, datasets: Mapping[str, DomainDataset]) -> FixedPairs:
         """Of the target domain what is held out; of the source domain too, where that has some of the task."""
         source, target = self.source_domain, self.target_domain
-        partners = self.episodes_by_task(source, "train") | self.episodes_by_task(source, "held_out")
-        return FixedPairs(tables, {source: partners, target: self.episodes_by_task(target, "held_out")}, self.pairs)
+        partners = self.episodes_by_task(source, "train") | self.episodes_by_task(source, "val")
+        return FixedPairs(datasets, {source: partners, target: self.episodes_by_task(target, "val")}, self.pairs)
 
     def episodes_by_task(self, domain: str, part: Part = "train") -> dict[int, np.ndarray]:
         """Trajectories of a domain's proxy tasks, by task index; tasks without any are left out."""
-        found = self.episodes(domain, self.proxies, part)
-        task = self.tables[domain].episode_task[found]
+        found = self.episodes(domain, self.proxy_tasks, part)
+        task = self.datasets[domain].episode_task[found]
         return {int(index): found[task == index] for index in np.unique(task)}
 
     def train_dataloader(self) -> Loader:
         """Batches for the phase that the trainer runs, from where a resumed run stopped."""
-        self._loader = self.loader(self._phase_demand())
+        self._loader = self.loader(self._phase_spec())
         if self._cursor is not None:
             self._loader.load_state_dict(self._cursor)
             self._cursor = None
@@ -249,13 +255,13 @@ class TransferDataModule(LightningDataModule):
 
     def val_dataloader(self) -> FixedBatches | FixedPairs:
         """Held-out trajectories of what the phase trains on."""
-        demand = self._phase_demand()
-        tables = self._tables(demand)
-        if demand.steps == "none":
-            return self._held_out_pairs(tables)
-        tasks = self.target_tasks if demand.steps == "mix" else self.proxies
-        size = min(table.rows_at_a_time(1024) for table in tables.values())
-        return FixedBatches(tables, self.rows(tasks, "held_out"), size, demand.course)
+        batch_spec = self._phase_spec()
+        datasets = self._tables(batch_spec)
+        if batch_spec.steps == "none":
+            return self._held_out_pairs(datasets)
+        tasks = self.target_tasks if batch_spec.steps == "mix" else self.proxy_tasks
+        size = min(dataset.rows_at_a_time(1024) for dataset in datasets.values())
+        return FixedBatches(datasets, self.rows(tasks, "val"), size, batch_spec.course)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         """Walk through a batch only if there is somewhere to move it."""
@@ -264,13 +270,13 @@ class TransferDataModule(LightningDataModule):
         moved: Batch = super().transfer_batch_to_device(batch, device, dataloader_idx)
         return moved
 
-    def _phase_demand(self) -> Demand:
-        return Demand() if self.trainer is None else cast("Demand", self.trainer.lightning_module.demand)
+    def _phase_spec(self) -> BatchSpec:
+        return BatchSpec() if self.trainer is None else cast("BatchSpec", self.trainer.lightning_module.batch_spec)
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """The parts that hold trajectories."""
-        return ("train", "held_out") if self.held_out > 0 else ("train",)
+        return ("train", "val") if self.val_fraction > 0 else ("train",)
 
     def state_dict(self) -> dict[str, Any]:
         """Where the training loader stands."""

@@ -146,7 +146,7 @@ class Course(NamedTuple):
     """``(B,)`` float32: share of the trajectory that lies behind, 0 at the first step and 1 at the last."""
 
 
-class Transitions(NamedTuple):
+class Steps(NamedTuple):
     """Single steps of one domain, drawn from many trajectories."""
 
     observation: Observation[Tensor]
@@ -156,12 +156,12 @@ class Transitions(NamedTuple):
     task: Tensor
     """``(B,)`` int64, index into the experiment's task names."""
     row: Tensor
-    """``(B,)`` int64, position of the step in its domain's table (see ``datamodules.table``)."""
+    """``(B,)`` int64, position of the step in its domain's dataset (see ``datamodules.batches.dataset``)."""
     course: Course | None = None
     """Where each step stands in its trajectory, if the phase asks for it."""
 
 
-class Sequences(NamedTuple):
+class PackedTrajectories(NamedTuple):
     """Trajectories of one domain, thinned out, their frames laid end to end."""
 
     observation: Observation[Tensor]
@@ -175,7 +175,7 @@ class Sequences(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Demand:
+class BatchSpec:
     """What a phase trains on.
 
     Args:
@@ -186,7 +186,7 @@ class Demand:
         course: Whether steps shall say what follows them.
     """
 
-    steps: Literal["proxies", "all", "mix", "none"] = "proxies"
+    steps: Literal["proxy_tasks", "all", "mix", "none"] = "proxy_tasks"
     pairs: Literal["none", "thinned", "whole"] = "none"
     images: bool = True
     course: bool = False
@@ -198,9 +198,9 @@ class Demand:
 class Batch(NamedTuple):
     """One training step's data."""
 
-    transitions: dict[str, Transitions]
+    steps: dict[str, Steps]
     """By domain; a domain without steps in this batch is left out. Empty where a loss asks for pairs alone."""
-    pairs: dict[str, Sequences]
+    pairs: dict[str, PackedTrajectories]
     """Two domains; row p of both demonstrates the same task. Empty where no loss asks for pairs."""
 
 

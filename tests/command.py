@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from plp_lightning.cli import main
+from plp_lightning.cli.main import main
 from plp_lightning.runs.directory import RunDirectory
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +29,7 @@ METHODS = sorted((ROOT / "configs" / "methods").glob("*.yaml"))
 
 processes = multiprocessing.get_context("forkserver")
 # Imported once; every process that is to die is a fork of that one.
-processes.set_forkserver_preload(["plp_lightning.verbs.experiments"])
+processes.set_forkserver_preload(["plp_lightning.cli.experiments"])
 
 
 class Answer(NamedTuple):

@@ -18,7 +18,7 @@ import torch
 from hypothesis import settings
 from lightning.pytorch import Callback, Trainer
 
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO
 from plp_lightning.runs.fit import quiet_lightning
 

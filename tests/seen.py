@@ -7,14 +7,14 @@ from pathlib import Path
 
 import torch
 
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Trajectory
-from plp_lightning import collect
-from plp_lightning.collect import Job, Recipe, demonstrate
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.synthetic import LinearPointExpert, SeenPoint
-from plp_lightning.policy import DecoderState, PortablePolicy
+from plp_lightning.methods.plp.policy import DecoderState, PortablePolicy
+from plp_lightning.runs import collection
+from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
 
 TASKS = SeenPoint(1).tasks
 TARGET = "blue"
@@ -34,9 +34,9 @@ def domains() -> dict[str, Domain]:
 @cache
 def demonstrations(count: int) -> list[Trajectory]:
     """``count`` demonstrations of each task in each domain."""
-    collect._begin_process(domains(), 1)
+    collection._begin_process(domains(), 1)
     jobs = [Job(domain, task, count, frozenset()) for domain in domains() for task in TASKS]
-    return [made for job in jobs for made in demonstrate(job, Recipe())]
+    return [made for job in jobs for made in demonstrate(job, CollectionConfig())]
 
 
 def write(path: Path, count: int = 6) -> None:
@@ -58,7 +58,7 @@ def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 3
         TARGET,
         trajectories=10,
         target_trajectories=4,
-        held_out=0.2,
+        val_fraction=0.2,
         batch_size=batch_size,
         pairs=3,
         stride=4,

@@ -17,54 +17,52 @@ ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for package in ("datamodules", "plp_lightning") for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
-WORDS = {"datamodules.errors", "datamodules.types", "datamodules.normalization", "datamodules.problem"}
-POLICY = {"plp_lightning.networks", "plp_lightning.scaling", "plp_lightning.base_policy", "plp_lightning.policy"}
-LEAVES = {"plp_lightning.progress", "plp_lightning.seeding", "plp_lightning.versions"}
+WORDS = {
+    "datamodules.errors",
+    "datamodules.types",
+    "datamodules.problem",
+    "datamodules.streams",
+    "datamodules.batches.normalization",
+}
+ENVS, METHODS = "plp_lightning.envs", "plp_lightning.methods"
 ALL = {"datamodules", "plp_lightning"}
 
 MAY_IMPORT: dict[str, set[str]] = {
     # What is below imports at most what is beside it; a package may import its own modules. First match counts.
     "datamodules.errors": set(),
+    "datamodules.streams": set(),
     "datamodules.types": {"datamodules.errors"},
+    "datamodules.store": WORDS,
+    "datamodules.batches": WORDS | {"datamodules.store"},
+    "datamodules.formats": WORDS | {"datamodules.store"},
     "datamodules": {"datamodules"},
-    "plp_lightning.progress": set(),
-    "plp_lightning.seeding": set(),
-    "plp_lightning.versions": set(),
-    "plp_lightning.verbs.allowlist": set(),
     "plp_lightning.networks": WORDS,
     "plp_lightning.losses": WORDS,
-    "plp_lightning.envs": WORDS,
-    "plp_lightning.experts": WORDS | {"plp_lightning.envs"},
-    "plp_lightning.scaling": WORDS,
-    "plp_lightning.base_policy": WORDS,
-    "plp_lightning.policy": WORDS | POLICY,
-    "plp_lightning.phases": {"datamodules", "plp_lightning.losses"} | POLICY,
-    "plp_lightning.baselines": {"datamodules", "plp_lightning.losses", "plp_lightning.phases"} | POLICY,
+    METHODS: {"datamodules", "plp_lightning.losses", "plp_lightning.networks"},
+    ENVS: WORDS,
+    "plp_lightning.evaluation": {"datamodules", ENVS, METHODS},
+    "plp_lightning.callbacks": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
+    "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
     "plp_lightning.report": {"datamodules.errors"},
-    "plp_lightning.runs.metrics_file": {"datamodules"},
-    "plp_lightning.runs.directory": {"datamodules"},
-    "plp_lightning.evaluation": {"datamodules", "plp_lightning.envs"} | POLICY | LEAVES,
-    "plp_lightning.collect": {"datamodules", "plp_lightning.envs"} | LEAVES,
-    "plp_lightning.callbacks": {"datamodules", "plp_lightning.phases", "plp_lightning.evaluation"}
-    | {"plp_lightning.envs"}
-    | POLICY
-    | LEAVES,
-    "plp_lightning.experiment": {"datamodules", "plp_lightning.phases", "plp_lightning.evaluation"}
-    | {"plp_lightning.envs"}
-    | POLICY,
-    "plp_lightning.runs": {"datamodules", "plp_lightning.phases", "plp_lightning.evaluation"}
-    | {"plp_lightning.callbacks", "plp_lightning.experiment"}
-    | POLICY
-    | LEAVES,
-    # Configuration and the verbs join everything; only the entry points know the command line.
-    "plp_lightning.verbs": ALL,
+    "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
+    | {"plp_lightning.callbacks", "plp_lightning.pictures"},
+    "plp_lightning.cli.allowlist": set(),
+    "plp_lightning.cli.main": {"datamodules.errors", "plp_lightning.cli"},
+    # The command line joins everything.
+    "plp_lightning.cli": ALL,
     "plp_lightning.__main__": {"plp_lightning.cli"},
     "plp_lightning": ALL,
 }
-ENTRY = "plp_lightning.cli"
-LIGHT = ("plp_lightning.cli", "plp_lightning.verbs.data", "plp_lightning.verbs.inspection", "datamodules.hdf5")
+ENTRY = "plp_lightning.cli.main"
+LIGHT = (
+    "plp_lightning",
+    "plp_lightning.cli.main",
+    "plp_lightning.cli.data",
+    "plp_lightning.cli.inspection",
+    "datamodules.store.writer",
+)
 SIMULATORS = {"mujoco", "robosuite", "gymnasium", "gymnasium_robotics", "metaworld"}
-NO_SIMULATOR = ("datamodules", "plp_lightning.losses", "plp_lightning.phases", "plp_lightning.baselines", *POLICY)
+NO_SIMULATOR = ("datamodules", "plp_lightning.losses", "plp_lightning.networks", METHODS)
 
 
 def relative(path: Path) -> str:
@@ -111,15 +109,19 @@ def test_imports_run_one_way(module: str) -> None:
 
 
 def test_a_wrong_import_would_be_found() -> None:
-    assert forbidden("plp_lightning.phases.alignment", iter(["plp_lightning.envs.lift"])) == ["plp_lightning.envs.lift"]
-    assert forbidden("datamodules.types", iter(["datamodules.table", "datamodules.errors"])) == ["datamodules.table"]
-    assert forbidden("plp_lightning.evaluation.x", iter(["plp_lightning.phases"])) == ["plp_lightning.phases"]
+    assert forbidden("plp_lightning.methods.plp.alignment", iter(["plp_lightning.envs.lift"])) == [
+        "plp_lightning.envs.lift"
+    ]
+    assert forbidden("datamodules.types", iter(["datamodules.batches.dataset", "datamodules.errors"])) == [
+        "datamodules.batches.dataset"
+    ]
+    assert forbidden("plp_lightning.evaluation.x", iter(["plp_lightning.runs"])) == ["plp_lightning.runs"]
 
 
 def test_imports_are_found_wherever_they_are() -> None:
-    lazy = "def f():\n    from plp_lightning import cli\n    import datamodules.hdf5 as h\n"
+    lazy = "def f():\n    from plp_lightning import cli\n    import datamodules.store.writer as h\n"
     typed = "if TYPE_CHECKING:\n    from plp_lightning.envs import Lift\n"
-    assert {*imported(lazy + typed)} == {"plp_lightning.envs", "plp_lightning.cli", "datamodules.hdf5"}
+    assert {*imported(lazy + typed)} == {"plp_lightning.envs", "plp_lightning.cli", "datamodules.store.writer"}
 
 
 def test_every_package_has_its_row_in_the_table() -> None:

@@ -13,11 +13,11 @@ import pytest
 import yaml
 from command import METHODS, ROOT, TINY, complaint, plp
 
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from datamodules.types import Observation, Trajectory
+from plp_lightning.cli.config import BASE, parse
 from plp_lightning.envs.tabletop.simulator import Tabletop
-from plp_lightning.experiment import Experiment
-from plp_lightning.verbs.config import BASE, parse
+from plp_lightning.runs.experiment import Experiment
 
 EXPERIMENTS = sorted(path for path in (ROOT / "configs").glob("*.yaml") if path.name != "base.yaml")
 BY_NAME = {path.stem: path for path in EXPERIMENTS}
@@ -37,7 +37,7 @@ def test_every_method_on_every_experiment_is_printed_as_it_reruns(
     first = parse(["--config", str(experiment), *TINY, "--config", str(method)])
     assert (first.name, first.method) == (experiment.stem, method.stem)
     assert first.data.source_domain != first.data.target_domain
-    assert not set(first.data.proxies) & set(first.data.target_tasks)
+    assert not set(first.data.proxy_tasks) & set(first.data.target_tasks)
     (tmp_path / "printed.yaml").write_text(first.config)
     again = parse(["--config", str(tmp_path / "printed.yaml")])
     assert again.config == first.config
@@ -67,7 +67,7 @@ def invent_demonstrations(experiment: Experiment) -> None:
     rng, made = np.random.default_rng(0), []
     specs = [domain.simulator.spec(name) for name, domain in experiment.domains.items()]
     for spec in specs:
-        for task, count in experiment.data.demand()[spec.name].items():
+        for task, count in experiment.data.needed()[spec.name].items():
             for seed in range(count):
                 states = rng.normal(size=(20, spec.state_size)).astype(np.float32)
                 actions = rng.uniform(-1, 1, (20, spec.action_size)).astype(np.float32)

@@ -17,7 +17,7 @@ import torch
 from command import SMOKE, complaint, data_root, plp, smoke_run, tiny_smoke
 
 from datamodules.errors import UserError
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.runs.directory import RunDirectory
@@ -46,7 +46,7 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--data.target gaol_3", "unknown task 'gaol_3'; the tasks are goal_0, "),
+        ("--data.target_task gaol_3", "unknown task 'gaol_3'; the tasks are goal_0, "),
         ("--data.source_domain flatt", "'flatt'; the domains of this experiment are flat, tall"),
         ("--data.source_domain tall", "source and target domain are both 'tall'; set two different ones"),
         ("--data.batch_sise 3", "unknown key 'data.batch_sise'; did you mean 'data.batch_size'?"),
@@ -65,7 +65,7 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--seed -1", "--seed is -1; expected at least 0"),
         ("--threads 0", "--threads is 0; expected at least 1"),
         ("--data.batch_size 0", "--data.batch_size is 0; expected at least 1"),
-        ("--data.held_out 1", "--data.held_out is 1.0; expected a share below 1"),
+        ("--data.val_fraction 1", "--data.val_fraction is 1.0; expected a share below 1"),
         ("--evaluation.final_episodes 0", "--evaluation.final_episodes is 0; expected at least 1"),
         ("--trainer.accelerator warp", "trainer: "),
         ("--policy.encoder_state [colour]", "encoder_state names 'colour'; expected state keys: "),
@@ -235,7 +235,7 @@ def test_other_policies_are_not_adapted(finished: RunDirectory, tmp_path: Path) 
     options = ["fit", *tiny_smoke(tmp_path), "--phase", "adaptation", "--from", finished.path]
     assert "is of another policy (" in complaint(*options, "--policy.latent", "9")
     # Aligned for goal_3, the policy has seen goal_2 in the target domain.
-    told = complaint(*options, "--data.target", "goal_2")
+    told = complaint(*options, "--data.target_task", "goal_2")
     assert "(for target 'goal_3'), but target 'goal_2' asks for goal_0, goal_1, goal_3" in told
 
 

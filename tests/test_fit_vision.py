@@ -10,7 +10,7 @@ import pytest
 import yaml
 from command import TINY, checkpoint, dies, plp, results, same
 
-from datamodules.hdf5 import TrajectoryFile
+from datamodules.store.writer import TrajectoryFile
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.metrics_file import read_rows
 

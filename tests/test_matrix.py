@@ -20,8 +20,8 @@ from command import METHODS, TINY, plp
 from test_configs import EXPERIMENTS, invent_demonstrations
 
 from plp_lightning.callbacks.preemption import Preemption
+from plp_lightning.cli.config import parse
 from plp_lightning.envs.tabletop.simulator import Tabletop
-from plp_lightning.verbs.config import parse
 
 SMALL_EYES = "policy: {init_args: {image_channels: [4, 8], image_features: 16}}\n"
 CUT = [*((m, "p2p_umaze") for m in (path.stem for path in METHODS)), *(("plp", path.stem) for path in EXPERIMENTS)]

@@ -12,12 +12,12 @@ import h5py
 import pytest
 from command import checkpoint, complaint, data_root, dies, plp, results, same, smoke_run, tiny_smoke
 
-from plp_lightning.progress import JobProgress
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.metrics_file import read_rows
+from plp_lightning.runs.progress import JobProgress
 
 STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
-EVALUATION = "plp_lightning.experiment:evaluate_all"
+EVALUATION = "plp_lightning.runs.experiment:evaluate_all"
 PHASES = ("alignment", "adaptation")
 SCHEDULES = ["--alignment.lr_schedule", "cosine", "--adaptation.lr_schedule", "cosine"]
 ALL = ["--alignment.terms", "[mmd, tcc, adversarial]", *SCHEDULES]
@@ -51,7 +51,7 @@ MOMENTS = {
     "before evaluation of alignment": (EVALUATION, 1),
     "between phases": ("plp_lightning.runs.fit:load_policy_weights", 1),
     "final evaluation": (EVALUATION, 2),
-    **{f"file {n} written, not moved": ("datamodules.atomic:os.replace", n) for n in (1, 9, 14)},
+    **{f"file {n} written, not moved": ("datamodules.store.atomic:os.replace", n) for n in (1, 9, 14)},
 }
 
 

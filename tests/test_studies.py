@@ -13,10 +13,10 @@ import yaml
 from command import ROOT, TINY, complaint, plp
 from test_configs import invent_demonstrations
 
+from plp_lightning.cli.config import parse
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
-from plp_lightning.envs.proxies import some_proxies
+from plp_lightning.envs.proxy_tasks import some_proxy_tasks
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.verbs.config import parse
 
 DOCUMENT = (ROOT / "docs" / "studies.md").read_text()
 BLOCKS = re.findall(r"```bash\n(.*?)```", DOCUMENT, re.DOTALL)
@@ -45,9 +45,9 @@ def absolute(words: list[str]) -> list[str]:
 def numbers(words: list[str]) -> tuple[str, str, Mapping[str, int]]:
     """Experiment, method, and how many proxy demonstrations each domain brings."""
     experiment = parse(absolute(words))
-    demand = experiment.data.demand()
-    proxies = experiment.data.proxies
-    return experiment.name, experiment.method, {d: sum(demand[d][task] for task in proxies) for d in demand}
+    batch_spec = experiment.data.needed()
+    proxy_tasks = experiment.data.proxy_tasks
+    return experiment.name, experiment.method, {d: sum(batch_spec[d][task] for task in proxy_tasks) for d in batch_spec}
 
 
 def test_every_documented_row_has_a_run_directory_of_its_own() -> None:
@@ -87,16 +87,16 @@ def test_pages_of_several_sources_add_agents_to_their_experiment(page: Path) -> 
 
 def test_fewer_goals_are_among_more_and_bring_all_their_starts() -> None:
     maze = PointMaze("medium")
-    chosen = {n: some_proxies(maze, "goal_1_6", n) for n in range(1, 26)}
+    chosen = {n: some_proxy_tasks(maze, "goal_1_6", n) for n in range(1, 26)}
     for n, tasks in chosen.items():
         goals = {maze.target_of(task) for task in tasks}
         assert len(goals) == n
         assert "goal_1_6" not in goals
         assert {*tasks} == {task for goal in goals for task in maze.target_tasks(goal)}
         assert {*tasks} >= {*chosen.get(n - 1, ())}
-    assert chosen[25] == maze.proxies("goal_1_6") == some_proxies(maze, "goal_1_6", None)
-    assert chosen[5] == some_proxies(WalkerMaze("medium"), "goal_1_6", 5)
-    assert chosen[5] == tuple(task for task in maze.proxies("goal_1_6") if task in chosen[5])
+    assert chosen[25] == maze.proxy_tasks("goal_1_6") == some_proxy_tasks(maze, "goal_1_6", None)
+    assert chosen[5] == some_proxy_tasks(WalkerMaze("medium"), "goal_1_6", 5)
+    assert chosen[5] == tuple(task for task in maze.proxy_tasks("goal_1_6") if task in chosen[5])
 
 
 def test_every_task_is_part_of_its_own_target() -> None:
@@ -118,7 +118,7 @@ def test_three_sources_run_in_miniature(tmp_path: Path) -> None:
     for name in parse(words).domains:
         words += [f"--domains.{name}.simulator.horizon", "5"]
     experiment = parse(words)
-    assert {*experiment.data.demand()["turned"].values()} == {1}
+    assert {*experiment.data.needed()["turned"].values()} == {1}
     invent_demonstrations(experiment)
     answer = plp("fit", *words)
     assert answer.code == 0, answer
@@ -133,7 +133,7 @@ def test_the_paper_s_settings_of_v2v_are_an_overlay(page: str) -> None:
         config = yaml.safe_load(parse(["--config", str(ROOT / "configs" / f"{page}.yaml"), *further]).config)
         phases = [config[phase]["init_args"] for phase in ("alignment", "adaptation")]
         schedules = [phase["lr_schedule"] for phase in phases]
-        return phases[0]["epochs"], phases[0]["reconstruction_halvings"], schedules, config["trainer"]["precision"]
+        return phases[0]["epochs"], phases[0]["reconstruction_downsampling"], schedules, config["trainer"]["precision"]
 
     assert settings() == (20, 1, ["cosine", "cosine"], "bf16-mixed")
     paper = str(ROOT / "configs" / "studies" / "v2v_paper.yaml")

@@ -10,11 +10,11 @@ from matplotlib.image import imread
 from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from datamodules.hdf5 import TrajectoryFile
+from datamodules.store.writer import TrajectoryFile
+from plp_lightning.cli.config import parse
 from plp_lightning.envs.rendering import backend
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.metrics_file import read_rows
-from plp_lightning.verbs.config import parse
 
 pytestmark = pytest.mark.skipif(
     not (backend.works("egl") or backend.works("osmesa")), reason="neither EGL nor OSMesa is installed"
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
 SMALL = [
     "--data.target_trajectories",
     "1",
-    "--data.held_out",
+    "--data.val_fraction",
     "0",
     "--adaptation.epochs",
     "1",
@@ -30,7 +30,7 @@ SMALL = [
     "1",
 ]
 SMALL += ["--policy.init_args.image_channels", "[4, 8]", "--policy.init_args.image_features", "16"]
-SMALL += ["--evaluation.final_episodes", "2", "--collection.linger", "1", "--alignment.terms", "[mmd, tcc]"]
+SMALL += ["--evaluation.final_episodes", "2", "--collection.hold_steps", "1", "--alignment.terms", "[mmd, tcc]"]
 PAGES = {
     "v2v_reach": (("left", "right"), 2, 60, []),
     "v2v_open": (("rear", "front"), 4, 140, ["--score.init_args.guided_episodes", "1"]),
@@ -41,10 +41,10 @@ PAGES = {
 @pytest.fixture(scope="module", params=PAGES)
 def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     """One demonstration of each task, one epoch of each phase."""
-    domains, proxies, horizon, further = PAGES[request.param]
+    domains, proxy_tasks, horizon, further = PAGES[request.param]
     root = str(tmp_path_factory.mktemp(request.param))
     words = ["--config", str(ROOT / "configs" / f"{request.param}.yaml"), *TINY, *SMALL, *further]
-    words += ["--data.root", root, "--run_root", root, "--data.trajectories", str(proxies)]
+    words += ["--data.root", root, "--run_root", root, "--data.trajectories", str(proxy_tasks)]
     for name in domains:
         words += [f"--domains.{name}.simulator.image_size", "32", f"--domains.{name}.simulator.horizon", str(horizon)]
     answer = plp("fit", *words)
@@ -59,10 +59,10 @@ def test_demonstrations_hold_images_and_no_target_task_of_the_target_domain(run:
     with TrajectoryFile.open(data.path) as file:
         counts = file.counts()
         images = {domain: file.trajectory(domain, 0).observation.image for domain in data.domains}
-    proxies = dict.fromkeys(data.proxies, 1)
+    proxy_tasks = dict.fromkeys(data.proxy_tasks, 1)
     assert {d: {t: n for t, n in tasks.items() if n} for d, tasks in counts.items()} == {
-        data.source_domain: proxies | {data.target: 1},
-        data.target_domain: proxies,
+        data.source_domain: proxy_tasks | {data.target_task: 1},
+        data.target_domain: proxy_tasks,
     }
     for image in images.values():
         assert image is not None

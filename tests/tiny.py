@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from datamodules.normalization import Statistics
+from datamodules.batches.dataset import DomainDataset, build_dataset
+from datamodules.batches.normalization import Statistics
 from datamodules.problem import TransferProblem
-from datamodules.table import Table, build_table
 from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
-from plp_lightning import collect
-from plp_lightning.collect import Job, Recipe, demonstrate
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
-from plp_lightning.policy import PortablePolicy
+from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.runs import collection
+from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
 
 TASKS = LinearPoint(1).tasks
 TARGET = "goal_3"
@@ -36,18 +36,18 @@ def domains() -> dict[str, Domain]:
 @cache
 def demonstrations(count: int) -> list[Trajectory]:
     """``count`` demonstrations of each task in each domain."""
-    collect._begin_process(domains(), 1)
+    collection._begin_process(domains(), 1)
     jobs = [Job(domain, task, count, frozenset()) for domain in domains() for task in TASKS]
-    return [made for job in jobs for made in demonstrate(job, Recipe())]
+    return [made for job in jobs for made in demonstrate(job, CollectionConfig())]
 
 
 def data_module(
     path: Path,
     trajectories: int = 28,
     target_trajectories: int = 4,
-    held_out: float = 0.2,
+    val_fraction: float = 0.2,
     batch_size: int = 32,
-    mix: float = 2.0,
+    mix_ratio: float = 2.0,
     seed: int = 0,
     domain_names: tuple[str, ...] = ("flat", "tall"),
 ) -> TransferDataModule:
@@ -63,11 +63,11 @@ def data_module(
         TARGET,
         trajectories=trajectories,
         target_trajectories=target_trajectories,
-        held_out=held_out,
+        val_fraction=val_fraction,
         batch_size=batch_size,
         pairs=6,
         stride=4,
-        mix=mix,
+        mix_ratio=mix_ratio,
         seed=seed,
     )
 
@@ -78,13 +78,13 @@ def spec(name: str, state: int, actions: int) -> DomainSpec:
     return DomainSpec(name, keys, actions, control_hz=10.0)
 
 
-def table(domain: DomainSpec, lengths: list[int], tasks: list[int]) -> Table:
+def dataset(domain: DomainSpec, lengths: list[int], tasks: list[int]) -> DomainDataset:
     """Trajectories of the given lengths and tasks; the state of row n is n in every column."""
     steps = sum(lengths)
     state = np.repeat(np.arange(steps, dtype=np.float32)[:, None], domain.state_size, axis=1)
     actions = np.random.default_rng(0).uniform(-1, 1, (steps, domain.action_size)).astype(np.float32)
     offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return build_table(domain, state, None, actions, offset, np.array(tasks), np.arange(len(tasks)))
+    return build_dataset(domain, state, None, actions, offset, np.array(tasks), np.arange(len(tasks)))
 
 
 def statistics(domain: DomainSpec, seed: int) -> Statistics:

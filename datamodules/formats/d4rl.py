@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError
-from datamodules.guard import UNSUSPICIOUS_BYTES, open_guarded, readable
+from datamodules.store.guard import UNSUSPICIOUS_BYTES, open_guarded, readable
 
 MAX_STEPS = 10_000_000
 """More than twice the largest file that D4RL published; as many take 320 MB of memory."""

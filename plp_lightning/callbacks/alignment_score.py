@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from lightning.pytorch import Callback, LightningModule, Trainer
 
 from datamodules.transfer import TransferDataModule
-from plp_lightning.base_policy import AligningPolicy
 from plp_lightning.envs.base import Simulator
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.phases import Phase
+from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.policy import AligningPolicy
 
 
 class AlignmentMetrics(Callback):

@@ -14,8 +14,8 @@ from lightning.fabric.plugins.io import TorchCheckpointIO
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
-from datamodules.atomic import locked_folder, replacing
 from datamodules.errors import CheckpointError
+from datamodules.store.atomic import locked_folder, replacing
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from lightning.pytorch import Callback, LightningModule, Trainer
 
 from plp_lightning.envs.base import Simulator
-from plp_lightning.evaluation.simulation import Trial, evaluate_all
-from plp_lightning.phases import Phase
+from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
+from plp_lightning.methods.phase import Phase
 
 FIRST_GUESS = 1.0
 """What an evaluation is taken to cost before the first one, s."""
@@ -34,12 +34,12 @@ class SimulatorEvaluation(Callback):
     def __init__(
         self,
         simulators: Mapping[str, Simulator],
-        trials: Mapping[str, Trial],
+        trials: Mapping[str, EvalSetting],
         episodes: int,
         every_n_epochs: int | None,
         seed: int,
     ) -> None:
-        self.simulators, self.trials = simulators, trials
+        self.simulators, self.eval_settings = simulators, trials
         self.episodes, self.every_n_epochs, self.seed = episodes, every_n_epochs, seed
         self.cost, self.last = FIRST_GUESS, time.monotonic()
 
@@ -63,7 +63,7 @@ class SimulatorEvaluation(Callback):
     def _evaluate(self, phase: Phase) -> None:
         training = phase.policy.training
         phase.policy.eval()
-        outcomes = evaluate_all(phase.policy, self.simulators, self.trials, self.episodes, self.seed)
+        outcomes = evaluate_all(phase.policy, self.simulators, self.eval_settings, self.episodes, self.seed)
         phase.policy.train(training)
         for name, outcome in outcomes.items():
             phase.log(f"eval/{name}_success", outcome.success)

@@ -9,7 +9,7 @@ import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import nn
 
-from plp_lightning.phases import Phase
+from plp_lightning.methods.phase import Phase
 
 
 class FrozenPartsChangedError(RuntimeError):

@@ -68,7 +68,7 @@ class Simulator(ABC):
         return task
 
     @abstractmethod
-    def proxies(self, target: str) -> tuple[str, ...]:
+    def proxy_tasks(self, target: str) -> tuple[str, ...]:
         """Tasks that may align the domains when ``target`` is to be transferred (none of its own)."""
 
     @abstractmethod

@@ -23,7 +23,9 @@ class Episodes:
     """``(E,)`` int64: control steps until success, the end or divergence."""
 
 
-def rollout(simulator: Simulator, act: Actor, tasks: Sequence[str], seeds: Sequence[int], linger: int = 0) -> Episodes:
+def rollout(
+    simulator: Simulator, act: Actor, tasks: Sequence[str], seeds: Sequence[int], hold_steps: int = 0
+) -> Episodes:
     """Run one episode for each (task, seed).
 
     Args:
@@ -31,7 +33,7 @@ def rollout(simulator: Simulator, act: Actor, tasks: Sequence[str], seeds: Seque
         act: Called once for each time step, on all episodes that still run.
         tasks: Task of each episode.
         seeds: Seed of each episode.
-        linger: Control steps for which an episode goes on after its first success.
+        hold_steps: Control steps for which an episode goes on after its first success.
     """
     observation = simulator.reset(tasks, seeds)
     running = np.arange(len(tasks))
@@ -42,7 +44,7 @@ def rollout(simulator: Simulator, act: Actor, tasks: Sequence[str], seeds: Seque
         step = simulator.step(act(observation, running), running)
         solved_at[running[step.success]] = np.minimum(solved_at[running[step.success]], t)
         invalid[running] = step.invalid
-        goes_on = ~step.invalid & (t < solved_at[running] + linger)
+        goes_on = ~step.invalid & (t < solved_at[running] + hold_steps)
         steps[running[step.invalid]] = t
         running, observation = running[goes_on], step.observation.take(goes_on)
         if len(running) == 0:

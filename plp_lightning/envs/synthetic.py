@@ -50,7 +50,7 @@ class LinearPoint(Simulator):
         """``goal_0`` to ``goal_7``, counter-clockwise."""
         return tuple(f"goal_{i}" for i in range(GOALS))
 
-    def proxies(self, target: str) -> tuple[str, ...]:
+    def proxy_tasks(self, target: str) -> tuple[str, ...]:
         """All other goals."""
         if target not in self.tasks:
             raise UserError(f"unknown task {target!r}; the tasks are {', '.join(self.tasks)}")

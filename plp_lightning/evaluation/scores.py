@@ -10,16 +10,16 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
+from datamodules.batches.orders import generator
 from datamodules.errors import ConfigError
-from datamodules.sampler import generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
-from plp_lightning.base_policy import AligningPolicy
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.evaluation.alignment import closeness, top_accuracy
-from plp_lightning.evaluation.simulation import Trial
+from plp_lightning.evaluation.simulation import EvalSetting
+from plp_lightning.methods.policy import AligningPolicy
 
 SAMPLE = 7
 """Stream of random numbers for the states that are scored."""
@@ -169,12 +169,12 @@ def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray
 
 def sample_states(data: TransferDataModule, domain: str, count: int) -> Observation[Tensor]:
     """``count`` states of a domain's proxy trajectories (all, if there are fewer); the same at every call."""
-    return data.tables[domain].observation.take(torch.from_numpy(sample_rows(data, domain, count)))
+    return data.datasets[domain].observation.take(torch.from_numpy(sample_rows(data, domain, count)))
 
 
 def sample_rows(data: TransferDataModule, domain: str, count: int) -> np.ndarray:
-    """Rows of :func:`sample_states` in the domain's table."""
-    rows = np.sort(np.concatenate([data.rows(data.proxies, part)[domain] for part in data.parts]))
+    """Rows of :func:`sample_states` in the domain's dataset."""
+    rows = np.sort(np.concatenate([data.rows(data.proxy_tasks, part)[domain] for part in data.parts]))
     chosen: np.ndarray = generator(SAMPLE, list(data.domains).index(domain)).permutation(rows)[:count]
     return chosen
 
@@ -192,7 +192,7 @@ def guided_states(
         episodes: How many.
         count: States.
     """
-    turns, seeds = Trial(domain, tuple(tasks)).in_turn("score", 0, episodes)
+    turns, seeds = EvalSetting(domain, tuple(tasks)).in_turn("score", 0, episodes)
     seen: list[Observation[np.ndarray]] = []
 
     def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:

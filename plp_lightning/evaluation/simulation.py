@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from datamodules.streams import episode_seed
 from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.rollout import Episodes, rollout
 from plp_lightning.evaluation.statistics import success_interval
-from plp_lightning.seeding import episode_seed
 
 
 class Acting(Protocol):
@@ -49,7 +49,7 @@ class Success:
 
 
 @dataclass(frozen=True)
-class Trial:
+class EvalSetting:
     """Which episodes to run: a domain and the tasks that take turns in it."""
 
     domain: str
@@ -61,7 +61,7 @@ class Trial:
         return tasks, [episode_seed(purpose, seed, self.domain, t, i // len(self.tasks)) for i, t in enumerate(tasks)]
 
 
-def evaluate(policy: Acting, simulator: Simulator, trial: Trial, episodes: int, seed: int) -> Success:
+def evaluate(policy: Acting, simulator: Simulator, trial: EvalSetting, episodes: int, seed: int) -> Success:
     """Run ``episodes`` of a trial at once.
 
     Episode i always begins in the same state for a given seed, whatever else is run.
@@ -80,7 +80,7 @@ def evaluate(policy: Acting, simulator: Simulator, trial: Trial, episodes: int, 
 def evaluate_all(
     policy: Acting,
     simulators: Mapping[str, Simulator],
-    trials: Mapping[str, Trial],
+    trials: Mapping[str, EvalSetting],
     episodes: int,
     seed: int,
     recorders: Mapping[str, Simulator] | None = None,

@@ -1,18 +1,8 @@
-"""Losses: pure functions of tensors, each with its shapes and its equation."""
+"""Losses that several methods share: pure functions of tensors, each with its shapes and its equation."""
 
-from plp_lightning.losses.adversarial import confusion, discrimination, in_units_of_spread, slope
 from plp_lightning.losses.bc import behavioural_cloning
-from plp_lightning.losses.mmd import mmd
+from plp_lightning.losses.r1_penalty import r1_penalty
 from plp_lightning.losses.reconstruction import reconstruction
-from plp_lightning.losses.tcc import tcc
+from plp_lightning.losses.weighted_mean import weighted_mean
 
-__all__ = [
-    "behavioural_cloning",
-    "confusion",
-    "discrimination",
-    "in_units_of_spread",
-    "mmd",
-    "reconstruction",
-    "slope",
-    "tcc",
-]
+__all__ = ["behavioural_cloning", "r1_penalty", "reconstruction", "weighted_mean"]

@@ -37,28 +37,6 @@ class StateEncoder(nn.Module):
         return latent
 
 
-class CommonPolicy(nn.Module):
-    """π_z(s_z, k): latent state and one-hot task → latent action a_z. Knows no domain.
-
-    Args:
-        latent: Z, size of latent states and latent actions.
-        tasks: K, number of task ids; ids of tasks to come have their place from the start.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
-    """
-
-    def __init__(self, latent: int, tasks: int, hidden: int, layers: int) -> None:
-        super().__init__()
-        self.tasks = tasks
-        self.net = mlp(latent + tasks, hidden, layers, latent)
-
-    def forward(self, latent: Tensor, task: Tensor) -> Tensor:
-        """``(B, Z)`` and int64 ``(B,)`` → ``(B, Z)``."""
-        one_hot = nn.functional.one_hot(task, self.tasks).to(latent.dtype)
-        plan: Tensor = self.net(torch.cat([latent, one_hot], dim=-1))
-        return plan
-
-
 class ActionDecoder(nn.Module):
     """ψ(a_z, s, d): latent action, domain id and, if wished, state → action in [-1, 1].
 
@@ -78,35 +56,9 @@ class ActionDecoder(nn.Module):
         self.gradient_floor = gradient_floor
         self.net = mlp(latent + context, hidden, layers, actions)
 
-    def forward(self, plan: Tensor, context: Tensor) -> Tensor:
+    def forward(self, latent_action: Tensor, context: Tensor) -> Tensor:
         """``(B, Z)`` and ``(B, context)`` → ``(B, actions)``."""
-        raw: Tensor = self.net(torch.cat([plan, context], dim=-1))
+        raw: Tensor = self.net(torch.cat([latent_action, context], dim=-1))
         # Adaptation begins with the latent actions of a task that was never trained. Where these drive the frozen
         # tanh far into saturation, its own slope is exactly zero in float32 and nothing could lead out again.
         return torch.tanh(raw) + self.gradient_floor * (raw - raw.detach())
-
-
-class DomainDiscriminator(nn.Module):
-    """Tells from a latent state which domain it came from (paper, ablation "-disc": four hidden layers).
-
-    Args:
-        latent: Z, size of latent states.
-        domains: D, number of domains.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
-    """
-
-    def __init__(self, latent: int, domains: int, hidden: int, layers: int) -> None:
-        super().__init__()
-        self.net = mlp(latent, hidden, layers, domains)
-
-    def forward(self, latent: Tensor) -> Tensor:
-        """``(B, Z)`` → logits ``(B, D)``; gradients reach the discriminator."""
-        logits: Tensor = self.net(latent)
-        return logits
-
-    def judge(self, latent: Tensor) -> Tensor:
-        """The same logits with gradients that reach the latent state alone."""
-        fixed = {name: parameter.detach() for name, parameter in self.named_parameters()}
-        logits: Tensor = torch.func.functional_call(self, fixed, (latent,))
-        return logits

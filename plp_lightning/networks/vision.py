@@ -46,8 +46,8 @@ class ImageEncoder(nn.Module):
         for size_in, size_out in pairwise([colours + 2, *channels]):
             layers += [nn.Conv2d(size_in, size_out, KERNEL, STRIDE, PADDING), nn.GELU()]
         self.convolutions = nn.Sequential(*layers)
-        self.linear = nn.Linear(channels[-1] * _area(halvings((height, width), len(channels))[-1]), features)
-        first_layer = 4 * channels[0] * _area(halvings((height, width), 1)[-1])
+        self.linear = nn.Linear(channels[-1] * _area(downsampled_sizes((height, width), len(channels))[-1]), features)
+        first_layer = 4 * channels[0] * _area(downsampled_sizes((height, width), 1)[-1])
         self.most_rows = max(1, UNTRAINED_BYTES // first_layer)
         initialise(self)
         _lay_out(self)
@@ -79,7 +79,7 @@ class ImageDecoder(nn.Module):
     def __init__(self, latent: int, domains: int, shape: Sequence[int], channels: Sequence[int]) -> None:
         super().__init__()
         height, width, colours = shape
-        sizes = halvings((height, width), len(channels))[::-1]
+        sizes = downsampled_sizes((height, width), len(channels))[::-1]
         self.domains, self.start = domains, (channels[-1], *sizes[0])
         self.linear = nn.Linear(latent + domains, channels[-1] * _area(sizes[0]))
         layers: list[nn.Module] = []
@@ -107,7 +107,7 @@ def pixel_coordinates(height: int, width: int) -> Tensor:
     return torch.stack(torch.meshgrid(rows, columns, indexing="ij"), dim=-1)
 
 
-def halvings(sides: tuple[int, int], count: int) -> list[tuple[int, int]]:
+def downsampled_sizes(sides: tuple[int, int], count: int) -> list[tuple[int, int]]:
     """Sides of an image before and after each of ``count`` convolutions, which round halves up."""
     sizes = [sides]
     for _ in range(count):
@@ -159,7 +159,9 @@ def image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
     return next(((h, w, c) for h, w, c in shapes.values()), None)
 
 
-def see(encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]], cameras: Collection[str]) -> Tensor:
+def encode_images(
+    encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]], cameras: Collection[str]
+) -> Tensor:
     """Features ``(B, F)`` of all domains' images, domain after domain, in one pass; zeros where there is no camera.
 
     Args:

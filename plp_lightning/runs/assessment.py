@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from datamodules.atomic import locked_folder, replacing
-from plp_lightning.base_policy import Policy
-from plp_lightning.experiment import Experiment
+from datamodules.store.atomic import locked_folder, replacing
+from plp_lightning.methods.policy import Policy
+from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import load_policy_weights
 
 
@@ -58,11 +58,11 @@ class Assessment:
 def held_out_predictions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in."""
     policy, data = assessment.policy, assessment.experiment.data
-    found, rows_of = {}, data.rows([*data.proxies, *data.target_tasks], "held_out")
+    found, rows_of = {}, data.rows([*data.proxy_tasks, *data.target_tasks], "val")
     for domain, rows in ((domain, rows_of[domain]) for domain in rows_of if domain in policy.acts_in):
-        steps = data.tables[domain].take(torch.from_numpy(rows))
+        steps = data.datasets[domain].take(torch.from_numpy(rows))
         with torch.inference_mode():
-            action = policy.decide({domain: steps.observation}, {domain: steps.task})[domain]
+            action = policy.predict_actions({domain: steps.observation}, {domain: steps.task})[domain]
         found[domain] = (action.numpy(), steps.action.numpy())
     return found
 

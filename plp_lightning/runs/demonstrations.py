@@ -8,8 +8,8 @@ import torch
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.transfer import TransferDataModule
-from plp_lightning.experiment import Experiment
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.experiment import Experiment
 
 
 def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
@@ -34,8 +34,8 @@ def check_finite(data: TransferDataModule) -> None:
     Raises:
         TrajectoryFileError: If an observation or an action is not finite.
     """
-    for domain, table in data.tables.items():
-        for name, values in (("observations", table.observation.state), ("actions", table.action)):
+    for domain, dataset in data.datasets.items():
+        for name, values in (("observations", dataset.observation.state), ("actions", dataset.action)):
             if not torch.isfinite(values).all():
                 raise TrajectoryFileError(
                     f"{data.path}: {name} of domain {domain!r} hold values that are not finite; "

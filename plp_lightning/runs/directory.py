@@ -10,8 +10,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from datamodules.atomic import locked_folder, replacing
 from datamodules.errors import ConfigError
+from datamodules.store.atomic import locked_folder, replacing
 
 
 class RunDirectory:

@@ -18,22 +18,22 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from datamodules.errors import CheckpointError, ConfigError
 from datamodules.problem import TransferProblem
-from plp_lightning.base_policy import Policy
 from plp_lightning.callbacks.alignment_score import AlignmentMetrics
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
 from plp_lightning.callbacks.evaluation import SimulatorEvaluation
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
-from plp_lightning.callbacks.latent_picture import LatentPicture
 from plp_lightning.callbacks.preemption import Preemption
-from plp_lightning.callbacks.progress import PhaseProgress
-from plp_lightning.callbacks.reconstruction_picture import ReconstructionPicture
-from plp_lightning.experiment import Experiment
-from plp_lightning.phases import Phase
+from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.policy import Policy
+from plp_lightning.pictures.episodes import EpisodePictures
+from plp_lightning.pictures.latents import LatentPicture
+from plp_lightning.pictures.reconstructions import ReconstructionPicture
 from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.directory import RunDirectory
-from plp_lightning.runs.episode_pictures import EpisodePictures
+from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.metrics_file import MetricsFile
+from plp_lightning.runs.phase_progress import PhaseProgress
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.stopwatch import Stopwatch
@@ -156,7 +156,7 @@ def build_trainer(
     quiet_lightning()
     folder = run.phase(name)
     settings = {key: value for key, value in experiment.trainer.items() if key != "max_epochs"}
-    if experiment.data.held_out == 0:
+    if experiment.data.val_fraction == 0:
         settings["limit_val_batches"] = 0
     return Trainer(
         **settings,
@@ -190,7 +190,7 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, policy:
         FreezeGuard(),
         FiniteGuard(),
         RandomState(),
-        SimulatorEvaluation(simulators, experiment.trials_of(policy), plan.episodes, every, experiment.seed),
+        SimulatorEvaluation(simulators, experiment.eval_settings_of(policy), plan.episodes, every, experiment.seed),
     ]
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
@@ -199,14 +199,15 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, policy:
         found.append(LatentPicture(*settings, experiment.score, simulators))
     if plan.reconstructions > 0:
         found.append(ReconstructionPicture(plan.reconstructions))
-    folder, held_out = run.checkpoint(name).parent, experiment.data.held_out > 0
+    folder, held_out = run.checkpoint(name).parent, experiment.data.val_fraction > 0
     return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(folder, held_out)]
 
 
 def assess(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, Any]:
     """Success in all trials and alignment scores at the end of a phase; episodes of the target task are pictured."""
     policy.eval()
-    pictures = EpisodePictures.of(experiment, policy)
+    settings, shown = experiment.eval_settings_of(policy), experiment.evaluation.films
+    pictures = EpisodePictures.of(experiment.simulators, settings, experiment.data.target_task, shown)
     outcomes = experiment.evaluate(policy, recorders=pictures.stages)
     scores = experiment.alignment(policy)
     pictures.publish(trainer)

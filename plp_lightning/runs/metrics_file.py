@@ -11,7 +11,7 @@ from typing import Any
 from lightning.pytorch.loggers.logger import Logger
 from lightning.pytorch.utilities import rank_zero_only
 
-from datamodules.atomic import locked_folder, replacing
+from datamodules.store.atomic import locked_folder, replacing
 
 COLUMNS = ["step", "metric", "value"]
 

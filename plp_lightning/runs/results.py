@@ -11,9 +11,9 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from rich.console import Console
 from rich.table import Table
 
-from plp_lightning.experiment import Experiment
 from plp_lightning.runs.directory import RunDirectory
-from plp_lightning.versions import versions
+from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.versions import versions
 
 ROWS = {
     "target": "target task in target domain",
@@ -38,7 +38,7 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
     results = {
         "experiment": experiment.name,
         "method": experiment.method,
-        "target_task": experiment.data.target,
+        "target_task": experiment.data.target_task,
         "seed": experiment.seed,
         "phases": [name for name, _ in done],
         **{trial: _with_before(outcome, before.get(trial)) for trial, outcome in last["trials"].items()},

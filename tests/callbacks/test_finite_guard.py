@@ -14,7 +14,7 @@ from torch import Tensor
 from datamodules.types import Batch
 from plp_lightning.callbacks.checkpointing import best_and_last
 from plp_lightning.callbacks.guard import DivergedError, FiniteGuard
-from plp_lightning.phases import Alignment
+from plp_lightning.methods.plp import Alignment
 
 PLACE: Any = SimpleNamespace(current_epoch=2, global_step=40)
 

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from datamodules.types import Batch
 from plp_lightning.callbacks.freezing import FreezeGuard, FrozenPartsChangedError, module_hash
-from plp_lightning.phases import Adaptation, Alignment
+from plp_lightning.methods.plp import Adaptation, Alignment
 
 
 class Meddling(Adaptation):

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from demonstrations import SPECS, TASKS, WHY, demonstrations
 
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Demand, DomainSpec, Observation, ObservationKey, Trajectory
+from datamodules.types import BatchSpec, DomainSpec, Observation, ObservationKey, Trajectory
 
 SIDE, STEPS, EPISODES, ALLOWANCE = 128, 60, 24, 96 * 2**20
 PLENTY, LITTLE = 4.0, 1 / 64
@@ -53,8 +53,8 @@ def fingerprint_and_shown(path: Path, image_memory: float) -> str:
         batch_size=64,
         image_memory=image_memory,
     )
-    batches = itertools.islice(data.loader(Demand("proxies")), 8)
-    seen = [part.observation for batch in batches for part in batch.transitions.values()]
+    batches = itertools.islice(data.loader(BatchSpec("proxy_tasks")), 8)
+    seen = [part.observation for batch in batches for part in batch.steps.values()]
     off = [(o.image.float().mean((1, 2, 3)) - o.state[:, 0]).abs().max().item() for o in seen if o.image is not None]
     return f"{data.fingerprint} {len(off)} parts, {max(off)} off"
 

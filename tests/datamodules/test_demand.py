@@ -6,33 +6,34 @@ from pathlib import Path
 
 import tiny
 
-from datamodules.types import Demand
+from datamodules.types import BatchSpec
 
 
 def test_all_steps_are_proxies_everywhere_and_the_target_in_the_source_domain(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     seen: dict[str, set[int]] = {}
-    for batch in data.loader(Demand("all")):
-        for domain, steps in batch.transitions.items():
+    for batch in data.loader(BatchSpec("all")):
+        for domain, steps in batch.steps.items():
             seen.setdefault(domain, set()).update(steps.row.tolist())
     tasks = {"flat": [*tiny.PROXIES, tiny.TARGET], "tall": [*tiny.PROXIES]}
     for domain, names in tasks.items():
         rows = set(data.rows(names, "train")[domain].tolist())
         assert seen[domain] <= rows
-        assert data.tasks.index(tiny.TARGET) in data.tables[domain].task[list(seen[domain])] or domain == "tall"
+        assert data.tasks.index(tiny.TARGET) in data.datasets[domain].task[list(seen[domain])] or domain == "tall"
 
 
 def test_whole_pairs_alone_are_full_trajectories_with_their_actions(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    loader = data.loader(Demand("none", pairs="whole"))
+    loader = data.loader(BatchSpec("none", pairs="whole"))
     assert len(loader) == -(-len(data.episodes("tall", tiny.PROXIES, "train")) // data.pairs)
     for batch in loader:
-        assert batch.transitions == {}
+        assert batch.steps == {}
         assert list(batch.pairs) == ["flat", "tall"]
         for domain, sequences in batch.pairs.items():
-            table = data.tables[domain]
+            dataset = data.datasets[domain]
             known = {
-                tuple(table.action[rows].flatten().tolist()) for rows in map(slice, table.offset, table.offset[1:])
+                tuple(dataset.action[rows].flatten().tolist())
+                for rows in map(slice, dataset.offset, dataset.offset[1:])
             }
             for frame, mask in zip(sequences.frame, sequences.mask, strict=True):
                 assert tuple(sequences.action[frame[mask]].flatten().tolist()) in known
@@ -41,5 +42,5 @@ def test_whole_pairs_alone_are_full_trajectories_with_their_actions(trajectory_f
 def test_steps_say_what_follows_them_only_if_asked(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     for course in (False, True):
-        for batch in data.loader(Demand("mix", course=course)):
-            assert all((steps.course is not None) == course for steps in batch.transitions.values())
+        for batch in data.loader(BatchSpec("mix", course=course)):
+            assert all((steps.course is not None) == course for steps in batch.steps.values())

@@ -10,13 +10,13 @@ import tiny
 import torch
 
 from datamodules.errors import MissingTrajectoriesError
-from datamodules.hdf5 import TrajectoryFile, write_trajectories
+from datamodules.store.writer import TrajectoryFile, write_trajectories
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Batch, Demand, Observation, Trajectory
+from datamodules.types import Batch, BatchSpec, Observation, Trajectory
 from plp_lightning.envs.synthetic import LinearPoint
 
 TARGET_ID = tiny.TASKS.index(tiny.TARGET)
-DEMANDS = {"proxies": Demand(), "pairs": Demand(pairs="thinned"), "mix": Demand("mix")}
+DEMANDS = {"proxy_tasks": BatchSpec(), "pairs": BatchSpec(pairs="thinned"), "mix": BatchSpec("mix")}
 
 
 def write(path: Path, trajectories: list[Trajectory]) -> None:
@@ -30,7 +30,7 @@ def states_of_target_in_target_domain() -> np.ndarray:
 
 
 def batches(data: TransferDataModule) -> list[Batch]:
-    return [b for demand in DEMANDS.values() for _ in range(2) for b in data.loader(demand)]
+    return [b for batch_spec in DEMANDS.values() for _ in range(2) for b in data.loader(batch_spec)]
 
 
 # -- the target task in the target domain ------------------------------------------------------------
@@ -44,51 +44,51 @@ def test_the_file_does_hold_the_target_in_the_target_domain(trajectory_file: Pat
 def test_tables_never_hold_the_target_in_the_target_domain(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file, trajectories=1000)
     secret = {tuple(state) for state in states_of_target_in_target_domain().tolist()}
-    assert TARGET_ID not in data.tables["tall"].task
-    assert TARGET_ID not in data.tables["tall"].episode_task
-    assert not secret & {tuple(state) for state in data.tables["tall"].observation.state.tolist()}
-    assert (data.tables["flat"].episode_task == TARGET_ID).sum() == 4
+    assert TARGET_ID not in data.datasets["tall"].task
+    assert TARGET_ID not in data.datasets["tall"].episode_task
+    assert not secret & {tuple(state) for state in data.datasets["tall"].observation.state.tolist()}
+    assert (data.datasets["flat"].episode_task == TARGET_ID).sum() == 4
 
 
 def test_no_batch_holds_the_target_in_the_target_domain(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     secret = {tuple(state) for state in states_of_target_in_target_domain().tolist()}
     for batch in batches(data):
-        parts = [part["tall"] for part in (batch.transitions, batch.pairs) if "tall" in part]
+        parts = [part["tall"] for part in (batch.steps, batch.pairs) if "tall" in part]
         assert not secret & {tuple(row) for part in parts for row in part.observation.state.tolist()}
     held_out = [*data.val_dataloader()]
-    assert all(TARGET_ID not in b.transitions["tall"].task for b in held_out if "tall" in b.transitions)
+    assert all(TARGET_ID not in b.steps["tall"].task for b in held_out if "tall" in b.steps)
 
 
 def test_alignment_batches_and_statistics_hold_no_target_at_all(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    for demand in ("proxies", "pairs"):
-        for batch in data.loader(DEMANDS[demand]):
-            assert all(TARGET_ID not in steps.task for steps in batch.transitions.values())
+    for batch_spec in ("proxy_tasks", "pairs"):
+        for batch in data.loader(DEMANDS[batch_spec]):
+            assert all(TARGET_ID not in steps.task for steps in batch.steps.values())
     for domain, found in data.statistics().items():
-        rows = np.isin(data.tables[domain].episode_task, [TARGET_ID])
+        rows = np.isin(data.datasets[domain].episode_task, [TARGET_ID])
         train = [e for e in data.episodes(domain, tiny.PROXIES, "train") if not rows[e]]
-        offset = data.tables[domain].offset
-        state = np.concatenate([data.tables[domain].observation.state[offset[e] : offset[e + 1]] for e in train])
+        offset = data.datasets[domain].offset
+        state = np.concatenate([data.datasets[domain].observation.state[offset[e] : offset[e + 1]] for e in train])
         np.testing.assert_allclose(found.mean, state.mean(axis=0, dtype=np.float64))
         np.testing.assert_allclose(found.std, state.std(axis=0, dtype=np.float64))
 
 
 def test_pairs_never_show_the_target(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    table = data.tables["flat"]
-    target = {tuple(row) for row in table.observation.state[table.task == TARGET_ID].tolist()}
-    for batch in data.loader(Demand(pairs="thinned")):
+    dataset = data.datasets["flat"]
+    target = {tuple(row) for row in dataset.observation.state[dataset.task == TARGET_ID].tolist()}
+    for batch in data.loader(BatchSpec(pairs="thinned")):
         assert not target & {tuple(row) for row in batch.pairs["flat"].observation.state.tolist()}
 
 
-# -- demand ------------------------------------------------------------------------------------------
+# -- batch_spec ------------------------------------------------------------------------------------------
 
 
 def test_trajectories_are_shared_out_among_tasks_rounding_up(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file, trajectories=15, target_trajectories=4)
-    proxies = dict.fromkeys(tiny.PROXIES, 3)
-    assert data.demand() == {"flat": proxies | {tiny.TARGET: 4}, "tall": proxies}
+    proxy_tasks = dict.fromkeys(tiny.PROXIES, 3)
+    assert data.needed() == {"flat": proxy_tasks | {tiny.TARGET: 4}, "tall": proxy_tasks}
 
 
 def test_missing_is_demand_without_what_the_file_holds(trajectory_file: Path, tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_missing_is_demand_without_what_the_file_holds(trajectory_file: Path, tm
     more = tiny.data_module(trajectory_file, target_trajectories=9)
     assert more.missing() == {"flat": {tiny.TARGET: 5}}
     nothing = tiny.data_module(tmp_path / "none.hdf5")
-    assert nothing.missing() == nothing.demand()
+    assert nothing.missing() == nothing.needed()
 
 
 class NotingCollector:
@@ -119,7 +119,7 @@ def test_prepare_data_asks_the_collector_for_what_is_missing_once(tmp_path: Path
     data.collector = collector
     data.prepare_data()
     data.prepare_data()
-    assert (collector.calls, collector.checked) == ([data.demand()], [data.path])
+    assert (collector.calls, collector.checked) == ([data.needed()], [data.path])
 
 
 def test_without_a_collector_missing_demonstrations_are_named(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_without_a_collector_missing_demonstrations_are_named(tmp_path: Path) ->
 
 def test_only_the_wanted_number_of_trajectories_is_used(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file, trajectories=14, target_trajectories=3)
-    flat = data.tables["flat"].episode_task
+    flat = data.datasets["flat"].episode_task
     assert [int((flat == k).sum()) for k in range(8)] == [2, 2, 2, 3, 2, 2, 2, 2]
 
 
@@ -146,9 +146,9 @@ def test_what_is_used_does_not_change_when_the_file_grows(trajectory_file: Path,
     after = tiny.data_module(grown, trajectories=14, target_trajectories=3)
     assert before.fingerprint == after.fingerprint
     for domain in ("flat", "tall"):
-        held_out = before.episodes(domain, tiny.PROXIES, "held_out")
-        assert held_out.tolist() == after.episodes(domain, tiny.PROXIES, "held_out").tolist()
-    one, other = ([b.transitions["flat"].row.tolist() for b in d.loader(Demand("mix"))] for d in (before, after))
+        held_out = before.episodes(domain, tiny.PROXIES, "val")
+        assert held_out.tolist() == after.episodes(domain, tiny.PROXIES, "val").tolist()
+    one, other = ([b.steps["flat"].row.tolist() for b in d.loader(BatchSpec("mix"))] for d in (before, after))
     assert one == other
 
 
@@ -162,37 +162,37 @@ def test_the_fingerprint_tells_other_data_apart(trajectory_file: Path) -> None:
     assert tiny.data_module(trajectory_file, seed=9).fingerprint in prints
 
 
-@pytest.mark.parametrize("held_out", [0.0, 0.05, 0.2, 0.5])
+@pytest.mark.parametrize("val_fraction", [0.0, 0.05, 0.2, 0.5])
 @pytest.mark.parametrize("tasks", [tiny.PROXIES, (tiny.TARGET,)])
 def test_held_out_and_training_trajectories_share_nothing(
-    trajectory_file: Path, held_out: float, tasks: tuple[str, ...]
+    trajectory_file: Path, val_fraction: float, tasks: tuple[str, ...]
 ) -> None:
-    data = tiny.data_module(trajectory_file, held_out=held_out)
-    for domain, table in data.tables.items():
-        train, kept = (data.episodes(domain, tasks, part) for part in ("train", "held_out"))
-        everything = table.episodes_of(np.array([data.tasks.index(task) for task in tasks]))
+    data = tiny.data_module(trajectory_file, val_fraction=val_fraction)
+    for domain, dataset in data.datasets.items():
+        train, kept = (data.episodes(domain, tasks, part) for part in ("train", "val"))
+        everything = dataset.episodes_of(np.array([data.tasks.index(task) for task in tasks]))
         assert sorted([*train, *kept]) == everything.tolist()
-        assert len(kept) == (max(1, round(held_out * len(everything))) if held_out and len(everything) else 0)
+        assert len(kept) == (max(1, round(val_fraction * len(everything))) if val_fraction and len(everything) else 0)
 
 
 def test_training_batches_hold_no_held_out_step(trajectory_file: Path) -> None:
-    data = tiny.data_module(trajectory_file, held_out=0.3)
-    for tasks, demands in ((tiny.PROXIES, ("proxies", "pairs", "mix")), ((tiny.TARGET,), ("mix",))):
-        kept = {domain: set(rows.tolist()) for domain, rows in data.rows(tasks, "held_out").items()}
+    data = tiny.data_module(trajectory_file, val_fraction=0.3)
+    for tasks, demands in ((tiny.PROXIES, ("proxy_tasks", "pairs", "mix")), ((tiny.TARGET,), ("mix",))):
+        kept = {domain: set(rows.tolist()) for domain, rows in data.rows(tasks, "val").items()}
         assert kept["flat"]
-        for demand in demands:
-            parts = [part for batch in data.loader(DEMANDS[demand]) for part in batch.transitions.items()]
+        for batch_spec in demands:
+            parts = [part for batch in data.loader(DEMANDS[batch_spec]) for part in batch.steps.items()]
             used = [(domain, row) for domain, steps in parts for row in steps.row.tolist()]
             assert not [(d, r) for d, r in used if r in kept.get(d, set())]
 
 
 def test_paired_trajectories_are_training_trajectories(trajectory_file: Path) -> None:
-    data = tiny.data_module(trajectory_file, held_out=0.3)
+    data = tiny.data_module(trajectory_file, val_fraction=0.3)
     for domain in data.domains:
-        kept = set(data.episodes(domain, tiny.PROXIES, "held_out").tolist())
+        kept = set(data.episodes(domain, tiny.PROXIES, "val").tolist())
         by_task = data.episodes_by_task(domain)
         assert {tiny.TASKS[task] for task in by_task} == set(tiny.PROXIES)
-        assert all((data.tables[domain].episode_task[ids] == task).all() for task, ids in by_task.items())
+        assert all((data.datasets[domain].episode_task[ids] == task).all() for task, ids in by_task.items())
         paired = [e for ids in by_task.values() for e in ids.tolist()]
         assert sorted(paired) == data.episodes(domain, tiny.PROXIES, "train").tolist()
         assert not kept & set(paired)
@@ -209,13 +209,13 @@ def test_the_split_does_not_depend_on_the_seed_of_the_run(trajectory_file: Path)
 
 
 def test_tables_hold_the_demonstrations_as_they_were_made(trajectory_file: Path) -> None:
-    table = tiny.data_module(trajectory_file).tables["flat"]
+    dataset = tiny.data_module(trajectory_file).datasets["flat"]
     made = sorted((t for t in tiny.demonstrations(4) if t.domain == "flat"), key=lambda t: tiny.TASKS.index(t.task))
-    assert len(table.offset) == len(made) + 1
-    for trajectory, (start, stop) in zip(made, pairwise(table.offset), strict=True):
-        np.testing.assert_array_equal(table.observation.state[start:stop], trajectory.observation.state)
-        np.testing.assert_array_equal(table.action[start:stop], trajectory.actions)
-        assert set(table.task[start:stop].tolist()) == {tiny.TASKS.index(trajectory.task)}
+    assert len(dataset.offset) == len(made) + 1
+    for trajectory, (start, stop) in zip(made, pairwise(dataset.offset), strict=True):
+        np.testing.assert_array_equal(dataset.observation.state[start:stop], trajectory.observation.state)
+        np.testing.assert_array_equal(dataset.action[start:stop], trajectory.actions)
+        assert set(dataset.task[start:stop].tolist()) == {tiny.TASKS.index(trajectory.task)}
 
 
 def test_a_third_domain_gets_its_share(tmp_path: Path) -> None:
@@ -228,9 +228,9 @@ def test_a_third_domain_gets_its_share(tmp_path: Path) -> None:
     specs = [*(d.simulator.spec(name) for name, d in tiny.domains().items()), third.spec("third")]
     write_trajectories(tmp_path / "three.hdf5", specs, tiny.TASKS, [*tiny.demonstrations(4), *extra], {})
     data = tiny.data_module(tmp_path / "three.hdf5", batch_size=30, domain_names=("flat", "tall", "third"))
-    assert TARGET_ID not in data.tables["third"].task
-    first = next(iter(data.loader(Demand(pairs="thinned"))))
-    assert [(d, len(s.action)) for d, s in first.transitions.items()] == [("flat", 10), ("tall", 10), ("third", 10)]
+    assert TARGET_ID not in data.datasets["third"].task
+    first = next(iter(data.loader(BatchSpec(pairs="thinned"))))
+    assert [(d, len(s.action)) for d, s in first.steps.items()] == [("flat", 10), ("tall", 10), ("third", 10)]
     turns = {tuple(batch.pairs) for batch in data.loader(DEMANDS["pairs"])}
     assert turns == {("flat", "tall"), ("flat", "third"), ("tall", "third")}
 
@@ -241,11 +241,11 @@ def test_a_resumed_data_module_goes_on_with_the_next_batch(trajectory_file: Path
     for _ in range(3):
         next(iterator)
     state = data.state_dict()
-    rest = [batch.transitions["tall"].row.tolist() for batch in iterator]
+    rest = [batch.steps["tall"].row.tolist() for batch in iterator]
     resumed = tiny.data_module(trajectory_file)
     resumed.load_state_dict(state)
-    assert [batch.transitions["tall"].row.tolist() for batch in resumed.train_dataloader()] == rest
-    assert next(iter(resumed.train_dataloader())).transitions["tall"].row.tolist() != rest[0]
+    assert [batch.steps["tall"].row.tolist() for batch in resumed.train_dataloader()] == rest
+    assert next(iter(resumed.train_dataloader())).steps["tall"].row.tolist() != rest[0]
 
 
 def test_the_state_is_empty_before_training_and_may_be_loaded(trajectory_file: Path) -> None:
@@ -262,6 +262,6 @@ def test_batches_stay_where_they_are_on_a_cpu(trajectory_file: Path) -> None:
 
 
 def test_parts_without_trajectories_are_left_out(trajectory_file: Path) -> None:
-    assert tiny.data_module(trajectory_file, held_out=0.2).parts == ("train", "held_out")
-    assert tiny.data_module(trajectory_file, held_out=0.0).parts == ("train",)
-    assert len(tiny.data_module(trajectory_file, held_out=0.0).val_dataloader()) == 0
+    assert tiny.data_module(trajectory_file, val_fraction=0.2).parts == ("train", "val")
+    assert tiny.data_module(trajectory_file, val_fraction=0.0).parts == ("train",)
+    assert len(tiny.data_module(trajectory_file, val_fraction=0.0).val_dataloader()) == 0

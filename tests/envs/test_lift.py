@@ -58,7 +58,7 @@ def test_proxies_share_neither_height_nor_position(target: str) -> None:
     at = lift.block(target)
     apart = {t for t in TASKS if lift.block(t)[2] != at[2] and tuple(lift.block(t)[:2]) != tuple(at[:2])}
     assert len(apart) == 16
-    assert set(lift.proxies(target)) == apart
+    assert set(lift.proxy_tasks(target)) == apart
 
 
 def test_spec_names_the_published_state_sizes() -> None:
@@ -68,7 +68,7 @@ def test_spec_names_the_published_state_sizes() -> None:
     assert tuple(key.name for key in spec.state_keys) == KEYS
 
 
-@pytest.mark.parametrize("method", ["proxies", "block"])
+@pytest.mark.parametrize("method", ["proxy_tasks", "block"])
 def test_unknown_task_is_named_with_a_hint(method: str) -> None:
     with pytest.raises(UserError, match=r"no task 'x3y0h0' in R2R-Lift; .*did you mean 'x\dy0h0'"):
         getattr(Lift("Sawyer"), method)("x3y0h0")
@@ -97,7 +97,7 @@ def test_import_is_light_and_the_build_leaves_no_trace(tmp_path: Path) -> None:
         import os, sys
         os.environ.pop("MUJOCO_GL", None)
         from plp_lightning.envs.lift.simulator import Lift
-        import plp_lightning.experts.lift
+        import plp_lightning.envs.experts.lift
         heavy = {"mujoco", "robosuite", "numba", "torch"} & set(sys.modules)
         assert not heavy, heavy
         Lift("Sawyer").reset(["x0y0h0"], [0])

@@ -29,8 +29,8 @@ def test_cells_and_tasks_are_as_many_as_in_the_paper():
     assert (len(umaze.cells), len(medium.cells)) == (7, 26)
     assert len(umaze.tasks) == 21
     assert len([task for task in medium.tasks.values() if not task.avoid]) == 104
-    assert len(umaze.proxies("goal_1_1")) == 18
-    assert len(medium.proxies("goal_6_6")) == 100
+    assert len(umaze.proxy_tasks("goal_1_1")) == 18
+    assert len(medium.proxy_tasks("goal_6_6")) == 100
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -90,9 +90,9 @@ def test_target_is_a_goal_a_detour_or_a_task():
 @pytest.mark.parametrize("target", ["goal_6_1", "detour_6_1", "s2_g_6_1"])
 def test_proxies_are_short_ways_to_other_goals(target):
     medium = LAYOUTS["medium"]
-    proxies = medium.proxies(target)
-    assert len(proxies) == 100
-    assert all(medium.task(name).goal != (6, 1) and not medium.task(name).avoid for name in proxies)
+    proxy_tasks = medium.proxy_tasks(target)
+    assert len(proxy_tasks) == 100
+    assert all(medium.task(name).goal != (6, 1) and not medium.task(name).avoid for name in proxy_tasks)
 
 
 def test_unknown_names_are_answered_with_known_ones():

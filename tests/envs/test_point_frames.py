@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodules.errors import ConfigError
+from plp_lightning.envs.experts.waypoint import WaypointExpert
 from plp_lightning.envs.maze.simulator import PointMaze
-from plp_lightning.experts.waypoint import WaypointExpert
 
 AGENTS = {
     "paper": lambda: PointMaze("umaze", swap_axes=True, negate_actions=True),

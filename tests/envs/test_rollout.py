@@ -38,9 +38,9 @@ def still(seen: list[list[int]]) -> Actor:
     return act
 
 
-def run(seeds: list[int], linger: int = 0, horizon: int = 6) -> tuple[Episodes, list[list[int]]]:
+def run(seeds: list[int], hold_steps: int = 0, horizon: int = 6) -> tuple[Episodes, list[list[int]]]:
     seen: list[list[int]] = []
-    return rollout(Scripted(1, horizon=horizon), still(seen), ["goal_0"] * len(seeds), seeds, linger), seen
+    return rollout(Scripted(1, horizon=horizon), still(seen), ["goal_0"] * len(seeds), seeds, hold_steps), seen
 
 
 def test_episodes_end_at_success_divergence_or_the_horizon() -> None:
@@ -55,20 +55,20 @@ def test_nothing_is_stepped_once_all_episodes_are_over() -> None:
     assert run([200, 100])[1] == [[0, 1], [0]]
 
 
-@pytest.mark.parametrize(("linger", "steps"), [(0, 3), (2, 5), (9, 6)])
-def test_an_episode_lingers_after_its_first_success(linger: int, steps: int) -> None:
-    episodes, seen = run([300], linger)
+@pytest.mark.parametrize(("hold_steps", "steps"), [(0, 3), (2, 5), (9, 6)])
+def test_an_episode_lingers_after_its_first_success(hold_steps: int, steps: int) -> None:
+    episodes, seen = run([300], hold_steps)
     assert len(seen) == steps
     assert episodes.success.tolist() == [True]
     assert episodes.steps.tolist() == [3]
 
 
 def test_an_episode_that_diverges_while_it_lingers_has_failed() -> None:
-    episodes, _ = run([305, 304, 303], linger=3)
+    episodes, _ = run([305, 304, 303], hold_steps=3)
     assert episodes.success.tolist() == [False, False, False]
     assert episodes.invalid.tolist() == [True, True, True]
     assert episodes.steps.tolist() == [5, 4, 3]
-    assert run([306], linger=1)[0].success.tolist() == [True]
+    assert run([306], hold_steps=1)[0].success.tolist() == [True]
 
 
 def test_invalid_episodes_stay_in_the_count() -> None:
@@ -90,12 +90,12 @@ def noisy_expert(simulator: LinearPoint, tasks: list[str], seeds: list[int]) -> 
 
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, 7), st.integers(0, 1000)), min_size=1, max_size=8), st.integers(0, 3))
-def test_an_outcome_does_not_depend_on_what_else_is_run(pairs: list[tuple[int, int]], linger: int) -> None:
+def test_an_outcome_does_not_depend_on_what_else_is_run(pairs: list[tuple[int, int]], hold_steps: int) -> None:
     tasks, seeds = [f"goal_{task}" for task, _ in pairs], [seed for _, seed in pairs]
 
     def outcome(tasks: list[str], seeds: list[int]) -> list[tuple[bool, bool, int]]:
         simulator = LinearPoint(2, horizon=25)
-        got = rollout(simulator, noisy_expert(simulator, tasks, seeds), tasks, seeds, linger)
+        got = rollout(simulator, noisy_expert(simulator, tasks, seeds), tasks, seeds, hold_steps)
         return list(zip(got.success.tolist(), got.invalid.tolist(), got.steps.tolist(), strict=True))
 
     together = outcome(tasks, seeds)

@@ -23,10 +23,10 @@ def test_goals_lie_on_the_unit_circle_counter_clockwise() -> None:
 
 def test_proxies_are_all_other_goals() -> None:
     simulator = LinearPoint(1)
-    assert simulator.proxies("goal_3") == tuple(task for task in TASKS if task != "goal_3")
+    assert simulator.proxy_tasks("goal_3") == tuple(task for task in TASKS if task != "goal_3")
     assert simulator.target_tasks("goal_3") == ("goal_3",)
     with pytest.raises(UserError, match="unknown task 'goal_9'; the tasks are goal_0, goal_1"):
-        simulator.proxies("goal_9")
+        simulator.proxy_tasks("goal_9")
 
 
 def test_the_state_is_the_point_behind_the_linear_map() -> None:

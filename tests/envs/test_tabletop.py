@@ -60,8 +60,8 @@ def random_actions(steps: int, episodes: int) -> np.ndarray:
 
 def test_tasks_and_proxies() -> None:
     assert Reach("front").tasks == ("red", "green", "blue")
-    assert Reach("front").proxies("green") == ("red", "blue")
-    assert Window("front").proxies("open") == ("close_x0y0", "close_x0y1", "close_x1y0", "close_x1y1")
+    assert Reach("front").proxy_tasks("green") == ("red", "blue")
+    assert Window("front").proxy_tasks("open") == ("close_x0y0", "close_x0y1", "close_x1y0", "close_x1y1")
     assert Window("front").target_tasks("open") == ("open",)
 
 
@@ -90,7 +90,7 @@ def test_unknown_task_is_named_with_a_hint() -> None:
     with pytest.raises(UserError, match=r"no task 'close_x2y0' in V2V-Open; .*, open; did you mean 'close_x\dy0'"):
         Window("rear").reset(["open", "close_x2y0"], [0, 1])
     with pytest.raises(UserError, match="no task 'yellow' in V2V-Reach; expected one of: red, green, blue"):
-        Reach("rear").proxies("yellow")
+        Reach("rear").proxy_tasks("yellow")
 
 
 def test_pickles_before_the_first_reset() -> None:
@@ -103,7 +103,7 @@ def test_import_is_light_and_the_end_is_silent(tmp_path: Path) -> None:
     script = """
         import sys
         from plp_lightning.envs.tabletop.simulator import Reach
-        import plp_lightning.experts.tabletop
+        import plp_lightning.envs.experts.tabletop
         heavy = {"mujoco", "OpenGL", "metaworld", "gymnasium", "torch"} & set(sys.modules)
         assert not heavy, heavy
         for view in ("front_left", "front_right"):

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from datamodules.types import Observation
+from plp_lightning.envs.experts.tabletop import ReachExpert, WindowExpert, push, reach
 from plp_lightning.envs.rendering import backend
 from plp_lightning.envs.rollout import Episodes, rollout
 from plp_lightning.envs.tabletop import physics
 from plp_lightning.envs.tabletop.simulator import AREAS, SLOTS, WINDOW_AREA, Reach, Tabletop, Window
-from plp_lightning.experts.tabletop import ReachExpert, WindowExpert, push, reach
 
 
 class NoCamera:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
-from datamodules.hdf5 import write_trajectories
+from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.maze.simulator import PointMaze
@@ -53,10 +53,10 @@ def test_latents_of_corresponding_states_are_close_if_the_encoder_knows_the_maps
 
 def test_scored_states_are_proxy_states_of_both_parts_and_always_the_same(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    for domain, table in data.tables.items():
+    for domain, dataset in data.datasets.items():
         sample = sample_states(data, domain, 50).state
         assert torch.equal(sample, sample_states(data, domain, 50).state)
-        proxy = table.observation.state[table.task != tiny.TASKS.index(tiny.TARGET)]
+        proxy = dataset.observation.state[dataset.task != tiny.TASKS.index(tiny.TARGET)]
         assert len(sample) == 50
         assert {tuple(row) for row in sample.tolist()} <= {tuple(row) for row in proxy.tolist()}
         everything = sample_states(data, domain, 10**6).state
@@ -70,7 +70,7 @@ def test_scores_are_the_same_for_every_seed_of_a_run(trajectory_file: Path) -> N
 
 def test_encoding_is_the_policys_encoder_without_gradients(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    policy, seen = tiny.policy(data), data.tables["tall"].observation.take(slice(5))
+    policy, seen = tiny.policy(data), data.datasets["tall"].observation.take(slice(5))
     found = encode(policy, "tall", seen)
     assert torch.equal(found, policy.encode({"tall": seen})["tall"])
     assert not found.requires_grad

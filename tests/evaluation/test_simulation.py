@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from datamodules.streams import episode_seed
 from datamodules.types import Actor, Observation
 from plp_lightning.envs.rollout import Episodes
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.evaluation.simulation import Success, Trial, evaluate, evaluate_all
+from plp_lightning.evaluation.simulation import EvalSetting, Success, evaluate, evaluate_all
 from plp_lightning.evaluation.statistics import success_interval
-from plp_lightning.seeding import episode_seed
 
 TASKS = LinearPoint(1).tasks
 
@@ -45,7 +45,7 @@ class Watched(LinearPoint):
 def test_invalid_episodes_count_as_failed_and_are_never_dropped() -> None:
     simulator = LinearPoint(1)
     policy = Clever(simulator, ["goal_0", "goal_1"], forbidden="goal_2")
-    found = evaluate(policy, simulator, Trial("flat", ("goal_0", "goal_2", "goal_5")), 12, seed=0)
+    found = evaluate(policy, simulator, EvalSetting("flat", ("goal_0", "goal_2", "goal_5")), 12, seed=0)
     assert (found.success, found.episodes, found.invalid) == (pytest.approx(4 / 12), 12, 4)
     assert found.interval == success_interval(4, 12)
 
@@ -57,7 +57,7 @@ def test_an_episode_that_was_solved_and_diverged_is_no_success() -> None:
 
 def test_tasks_take_turns_with_seeds_of_evaluation() -> None:
     simulator = Watched(1)
-    evaluate(Clever(simulator, TASKS), simulator, Trial("flat", ("goal_3", "goal_1")), 5, seed=7)
+    evaluate(Clever(simulator, TASKS), simulator, EvalSetting("flat", ("goal_3", "goal_1")), 5, seed=7)
     expected = [("goal_3", 0), ("goal_1", 0), ("goal_3", 1), ("goal_1", 1), ("goal_3", 2)]
     assert simulator.asked == [(task, episode_seed("evaluate", 7, "flat", task, i)) for task, i in expected]
     collected = {episode_seed("collect", 7, "flat", task, i) for task in TASKS for i in range(1000)}
@@ -66,7 +66,7 @@ def test_tasks_take_turns_with_seeds_of_evaluation() -> None:
 
 def test_an_episode_begins_the_same_however_many_are_run() -> None:
     simulator = Watched(1)
-    trial = Trial("flat", ("goal_3", "goal_1"))
+    trial = EvalSetting("flat", ("goal_3", "goal_1"))
     begins = []
     for episodes in (2, 9):
         evaluate(Clever(simulator, TASKS), simulator, trial, episodes, seed=7)
@@ -77,7 +77,7 @@ def test_an_episode_begins_the_same_however_many_are_run() -> None:
 def test_the_policy_is_called_once_for_each_time_step_on_all_running_episodes() -> None:
     simulator = LinearPoint(1, horizon=9)
     policy = Clever(simulator, ["goal_0"])
-    evaluate(policy, simulator, Trial("flat", ("goal_0", "goal_5")), 20, seed=0)
+    evaluate(policy, simulator, EvalSetting("flat", ("goal_0", "goal_5")), 20, seed=0)
     assert len(policy.calls) == 9
     running = [count for _, count, _ in policy.calls]
     assert running[0] == 20
@@ -88,7 +88,7 @@ def test_the_policy_is_called_once_for_each_time_step_on_all_running_episodes() 
 def test_every_trial_runs_in_its_own_domain() -> None:
     simulators = {"flat": LinearPoint(1, 3), "tall": LinearPoint(2, 5)}
     policy = Clever(simulators["tall"], ["goal_0"])
-    trials = {"target": Trial("tall", ("goal_0",)), "proxy": Trial("tall", ("goal_4",))}
+    trials = {"target": EvalSetting("tall", ("goal_0",)), "proxy": EvalSetting("tall", ("goal_4",))}
     found = evaluate_all(policy, simulators, trials, 6, seed=0)
     assert {name: outcome.success for name, outcome in found.items()} == {"target": 1.0, "proxy": 0.0}
     assert {state.shape[1] for _, _, state in policy.calls} == {5}

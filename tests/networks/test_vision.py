@@ -8,7 +8,7 @@ from torch import nn
 
 from datamodules.errors import ConfigError
 from plp_lightning.networks import ImageDecoder, ImageEncoder
-from plp_lightning.networks.vision import halvings, initialise, pixel_coordinates
+from plp_lightning.networks.vision import downsampled_sizes, initialise, pixel_coordinates
 
 
 def images(count: int, height: int, width: int) -> torch.Tensor:
@@ -54,7 +54,7 @@ def test_the_same_spot_elsewhere_is_something_else() -> None:
 
 def test_sizes_of_the_paper() -> None:
     encoder = ImageEncoder((64, 64, 3), (64, 64, 128, 128, 128), 1024)
-    assert halvings((64, 64), 5) == [(64, 64), (32, 32), (16, 16), (8, 8), (4, 4), (2, 2)]
+    assert downsampled_sizes((64, 64), 5) == [(64, 64), (32, 32), (16, 16), (8, 8), (4, 4), (2, 2)]
     weights = 9 * (5 * 64 + 64 * 64 + 64 * 128 + 128 * 128 + 128 * 128) + 2 * 64 + 3 * 128
     assert sum(p.numel() for p in encoder.parameters()) == weights + 2 * 2 * 128 * 1024 + 1024
 

@@ -22,14 +22,14 @@ def test_methods_stand_side_by_side_in_the_paper_s_order():
     lines = markdown(
         [record("bc"), record("mine"), record(success=0.75), record(success=1.0, seed=1), record(experiment="new")]
     ).splitlines()
-    table = [line for line in lines if line.startswith("| ")]
-    assert table[2:6] == [
+    dataset = [line for line in lines if line.startswith("| ")]
+    assert dataset[2:6] == [
         "| r2r | plp | 2 | 0.88 ± 0.18 | 0.00 ± 0.00 | 0.63 ± 0.37 |",
         "| r2r | bc | 1 | 0.50 | 0.00 | 0.22 ± 0.40 |",
         "| r2r | mine | 1 | 0.50 | 0.00 | – |",
         "| new | plp | 1 | 0.50 | 0.00 | – |",
     ]
-    assert "| r2r | plp | x0y0h0 | 0 | 0.75 (0.25 – 0.75) | 0.00 | – | 1.00 | closeness 0.50 |" in table
+    assert "| r2r | plp | x0y0h0 | 0 | 0.75 (0.25 – 0.75) | 0.00 | – | 1.00 | closeness 0.50 |" in dataset
 
 
 def test_methods_are_compared_on_the_same_target_task_and_seed():
@@ -73,8 +73,8 @@ def test_the_report_of_the_kept_results_is_current(tmp_path):
 
 def test_the_readme_shows_the_means_of_the_kept_results():
     report = (ROOT / "docs" / "results" / "report.md").read_text()
-    table = report[report.index("| experiment") : report.index("\n\n## Side by side")]
-    assert table in (ROOT / "README.md").read_text(), "copy the table of docs/results/report.md into README.md"
+    dataset = report[report.index("| experiment") : report.index("\n\n## Side by side")]
+    assert dataset in (ROOT / "README.md").read_text(), "copy the dataset of docs/results/report.md into README.md"
 
 
 @pytest.mark.parametrize("record", read_records([ROOT / "docs" / "results"]), ids=lambda r: f"{r.method}-{r.target}")

@@ -8,8 +8,8 @@ from matplotlib.image import imread
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from test_configs import invent_demonstrations
 
+from plp_lightning.cli.config import parse
 from plp_lightning.runs.directory import RunDirectory
-from plp_lightning.verbs.config import parse
 
 
 @pytest.fixture(scope="module")

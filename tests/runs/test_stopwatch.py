@@ -7,7 +7,7 @@ import pytest
 import tiny
 from lightning.pytorch import Trainer
 
-from plp_lightning.phases import Alignment
+from plp_lightning.methods.plp import Alignment
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.stopwatch import Stopwatch
 

@@ -76,7 +76,7 @@ class Lift(Simulator):
         """``x0y0h0`` to ``x2y2h2``: column, row and height of the block's place."""
         return tuple(TASKS)
 
-    def proxies(self, target: str) -> tuple[str, ...]:
+    def proxy_tasks(self, target: str) -> tuple[str, ...]:
         """The 16 tasks that share neither the height nor the position on the table with ``target``.
 
         Raises:

@@ -79,9 +79,9 @@ class Maze(Simulator):
         found = self.layout.task(task)
         return task if found.avoid else "goal_{}_{}".format(*found.goal)
 
-    def proxies(self, target: str) -> tuple[str, ...]:
+    def proxy_tasks(self, target: str) -> tuple[str, ...]:
         """All shortest-path tasks that end at another goal than ``target``, a goal or a task."""
-        return self.layout.proxies(target)
+        return self.layout.proxy_tasks(target)
 
     def spec(self, name: str) -> DomainSpec:
         """Observation and action space: positions in m, velocities in m/s or rad/s, in the maze's frame."""

@@ -102,7 +102,7 @@ class Layout:
             f"unknown maze target {target!r}; expected one of: {', '.join([*goals, *self._detour_names])}"
         )
 
-    def proxies(self, target: str) -> tuple[str, ...]:
+    def proxy_tasks(self, target: str) -> tuple[str, ...]:
         """Shortest-path tasks whose goal is not the target's."""
         goal = self.tasks[self.target_tasks(target)[0]].goal
         return tuple(name for name, task in self.tasks.items() if task.goal != goal and not task.avoid)

@@ -76,7 +76,7 @@ class Tabletop(Simulator):
         self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
         self._physics: TabletopPhysics | None = None
 
-    def proxies(self, target: str) -> tuple[str, ...]:
+    def proxy_tasks(self, target: str) -> tuple[str, ...]:
         """All tasks but ``target``.
 
         Raises:

@@ -1,0 +1,96 @@
+"""Images of demonstrations: in memory if they fit, else in their file until a batch asks for them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datamodules.store.reader import TrajectoryFile
+
+GIBIBYTE = 2**30
+
+
+class ImageFile:
+    """Images of one domain that stay in their file; asked for rows as a tensor would be.
+
+    The file is read in its own compressed blocks. Blocks that were read are kept until ``kept_bytes`` are spent,
+    and then for good: rows come in random order, so no block is likelier than another to be asked for next.
+
+    Args:
+        file: Where the images are; it may have been closed.
+        domain: Whose images.
+        episodes: Which episodes, in order; their steps are the rows.
+        kept_bytes: How much of the images may be held in memory.
+    """
+
+    def __init__(self, file: TrajectoryFile, domain: str, episodes: np.ndarray, kept_bytes: int) -> None:
+        self.file, self.domain, self.kept_bytes = file, domain, kept_bytes
+        self.place = file.rows(domain, episodes)
+        self.block_length = file.image_block(domain)
+        self.shape = (len(self.place), *_image_shape(file, domain))
+        self.blocks: dict[int, np.ndarray] = {}
+        self.held_bytes = 0
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def __getitem__(self, rows: Any) -> Tensor:
+        """Uint8 ``(B, H, W, C)`` at ``rows``: an index array or tensor ``(B,)``, or a slice."""
+        # numpy takes a tensor of one element for a number.
+        places = self.place[rows if isinstance(rows, slice) else np.asarray(rows)]
+        images = np.empty((len(places), *self.shape[1:]), np.uint8)
+        numbers = places // self.block_length
+        for number in np.unique(numbers):
+            wanted = numbers == number
+            images[wanted] = self._block(int(number))[places[wanted] - number * self.block_length]
+        return torch.from_numpy(images)
+
+    def _block(self, number: int) -> np.ndarray:
+        if number in self.blocks:
+            return self.blocks[number]
+        block = self.file.image_range(self.domain, number * self.block_length, (number + 1) * self.block_length)
+        if self.held_bytes + block.nbytes <= self.kept_bytes:
+            self.blocks[number] = block
+            self.held_bytes += block.nbytes
+        return block
+
+
+Images = Tensor | ImageFile
+"""Images of all steps of a domain, ``(N, H, W, C)`` uint8, wherever they are."""
+
+
+def stored_images(file: TrajectoryFile, episodes: Mapping[str, np.ndarray], memory: float) -> dict[str, Images]:
+    """Images of chosen episodes, by domain; domains without a camera are left out.
+
+    Args:
+        file: Where they are.
+        episodes: Numbers of the chosen episodes in their file, by domain.
+        memory: GiB that the images of all domains together may take; if they need more, they stay in the file,
+            and as much of them is kept once it was read.
+    """
+    sizes = {domain: _image_bytes(file, domain, chosen) for domain, chosen in episodes.items()}
+    needed, budget = sum(sizes.values()), int(memory * GIBIBYTE)
+    found: dict[str, Images] = {}
+    for domain, size in sizes.items():
+        if size and needed <= budget:
+            found[domain] = torch.from_numpy(file.images(domain, episodes[domain]))
+        elif size:
+            found[domain] = ImageFile(file, domain, episodes[domain], budget * size // needed)
+    return found
+
+
+def _image_bytes(file: TrajectoryFile, domain: str, episodes: np.ndarray) -> int:
+    if file.spec(domain).image_key is None:
+        return 0
+    return len(file.rows(domain, episodes)) * math.prod(_image_shape(file, domain))
+
+
+def _image_shape(file: TrajectoryFile, domain: str) -> tuple[int, ...]:
+    key = file.spec(domain).image_key
+    assert key is not None, f"domain {domain!r} has no camera"
+    return key.shape

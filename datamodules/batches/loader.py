@@ -1,0 +1,153 @@
+"""An iterable of batches with a cursor: it can be stopped after any batch and goes on with the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from datamodules.batches.dataset import DomainDataset
+from datamodules.batches.orders import PairOrder
+from datamodules.batches.packing import thin_out
+from datamodules.types import Batch, PackedTrajectories
+
+
+class Order(Protocol):
+    """Which rows make up each step of an epoch."""
+
+    steps: int
+
+    def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
+        """Rows by domain for every step."""
+        ...
+
+
+class PairSource:
+    """Trajectory pairs of a step, thinned out.
+
+    Args:
+        datasets: By domain.
+        order: Which pairs.
+        stride: One of so many frames is kept.
+    """
+
+    def __init__(self, datasets: Mapping[str, DomainDataset], order: PairOrder, stride: int) -> None:
+        self.datasets, self.order, self.stride = datasets, order, stride
+
+    def __call__(self, epoch: int, step: int) -> dict[str, PackedTrajectories]:
+        """The two domains' sequences for one step."""
+        draw = self.order.step(epoch, step)
+        return {
+            domain: thin_out(self.datasets[domain], draw.episodes[i], draw.phase, self.stride)
+            for i, domain in enumerate(draw.domains)
+        }
+
+
+class Loader:
+    """Gathers each step's batch from datasets in memory.
+
+    The cursor always points at the next batch to yield, so ``state_dict`` taken while a batch is being
+    trained on says where to go on after it.
+
+    Args:
+        datasets: By domain.
+        order: Rows of each step.
+        pairs: Trajectory pairs of a step; None if no loss asks for them.
+        course: Whether steps shall say what follows them.
+    """
+
+    def __init__(
+        self,
+        datasets: Mapping[str, DomainDataset],
+        order: Order,
+        pairs: Callable[[int, int], dict[str, PackedTrajectories]] | None = None,
+        course: bool = False,
+    ) -> None:
+        self.datasets, self.order, self.pairs, self.course = datasets, order, pairs, course
+        self._next_epoch, self._next_step = 0, 0
+
+    def __len__(self) -> int:
+        """Steps in an epoch."""
+        return self.order.steps
+
+    def __iter__(self) -> Iterator[Batch]:
+        """The rest of the epoch that the cursor is in."""
+        epoch = self._next_epoch
+        rows = self.order.epoch(epoch)
+        for step in range(self._next_step, len(rows)):
+            last = step + 1 == len(rows)
+            self._next_epoch, self._next_step = (epoch + 1, 0) if last else (epoch, step + 1)
+            transitions = {d: self.datasets[d].take(torch.from_numpy(r), self.course) for d, r in rows[step].items()}
+            yield Batch(transitions, self.pairs(epoch, step) if self.pairs else {})
+
+    def state_dict(self) -> dict[str, int]:
+        """Epoch and step of the next batch."""
+        return {"epoch": self._next_epoch, "step": self._next_step}
+
+    def load_state_dict(self, state: Mapping[str, int]) -> None:
+        """Go on where ``state`` was taken."""
+        self._next_epoch, self._next_step = state["epoch"], state["step"]
+
+
+class FixedBatches:
+    """Held-out steps in order, a domain after the other; the same batches at every pass.
+
+    Args:
+        datasets: By domain.
+        rows: Rows of each domain.
+        batch_size: Steps in a batch.
+        course: Whether steps shall say what follows them.
+    """
+
+    def __init__(
+        self,
+        datasets: Mapping[str, DomainDataset],
+        rows: Mapping[str, np.ndarray],
+        batch_size: int,
+        course: bool = False,
+    ) -> None:
+        self.datasets, self.course = datasets, course
+        self.chunks = [(d, r[i : i + batch_size]) for d, r in rows.items() for i in range(0, len(r), batch_size)]
+
+    def __len__(self) -> int:
+        """Number of batches."""
+        return len(self.chunks)
+
+    def __iter__(self) -> Iterator[Batch]:
+        """One domain's steps at a time."""
+        for domain, rows in self.chunks:
+            yield Batch({domain: self.datasets[domain].take(torch.from_numpy(rows), self.course)}, {})
+
+
+class FixedPairs:
+    """Each trajectory of a domain once, whole, beside one of its task in another domain; the same at every pass.
+
+    Args:
+        datasets: By domain.
+        episodes: ``episodes[domain][task]`` are trajectory ids in two domains. Those of the second come once each;
+            those of the first take turns beside them. Tasks that the first lacks are left out.
+        count: Pairs in a batch.
+    """
+
+    def __init__(
+        self, datasets: Mapping[str, DomainDataset], episodes: Mapping[str, Mapping[int, np.ndarray]], count: int
+    ) -> None:
+        self.datasets, self.domains = datasets, tuple(episodes)
+        first, second = episodes.values()
+        turns = [np.resize(first[task], len(ids)) for task, ids in second.items() if task in first]
+        rows = [second[task] for task in second if task in first]
+        pairs = np.array([np.concatenate(part) if part else [] for part in (turns, rows)], dtype=np.int64)
+        self.chunks = [pairs[:, i : i + count] for i in range(0, pairs.shape[1], count)]
+
+    def __len__(self) -> int:
+        """Number of batches."""
+        return len(self.chunks)
+
+    def __iter__(self) -> Iterator[Batch]:
+        """Pairs alone."""
+        for chunk in self.chunks:
+            phase = np.zeros(chunk.shape[1])
+            parts = zip(self.domains, chunk, strict=True)
+            yield Batch({}, {domain: thin_out(self.datasets[domain], ids, phase, stride=1) for domain, ids in parts})

@@ -1,0 +1,1 @@
+"""STORE: the trajectory file, guarded, hashed, complete or absent."""

@@ -1,0 +1,283 @@
+"""Reading trajectory files: whole domains in a few contiguous reads, or one demonstration at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from datamodules.errors import TrajectoryFileError, UserError
+from datamodules.store.guard import open_guarded, readable
+from datamodules.store.schema import (
+    EPISODE_COLUMNS,
+    Header,
+    array_paths,
+    check_identity,
+    read_hashes,
+    read_header,
+    stored_digest,
+)
+from datamodules.types import DomainSpec, Observation, Trajectory
+
+
+class EpisodeTable(NamedTuple):
+    """The episodes of one domain, in the order of the file."""
+
+    offset: np.ndarray
+    """``(E + 1,)`` int64: steps ``offset[e]`` to ``offset[e + 1]`` of the domain's arrays are episode e."""
+    task: np.ndarray
+    """``(E,)`` task names."""
+    seed: np.ndarray
+    """``(E,)`` int64."""
+    success: np.ndarray
+    """``(E,)`` bool."""
+
+
+class DomainArrays(NamedTuple):
+    """Chosen episodes of one domain, laid end to end: N steps of E episodes."""
+
+    state: np.ndarray
+    """``(N, O)`` float32: the domain's state keys, concatenated in the order of its spec."""
+    image: np.ndarray | None
+    """``(N, H, W, C)`` uint8; None in a domain without a camera, or if images were not asked for."""
+    actions: np.ndarray
+    """``(N, A)`` float32 in [-1, 1]."""
+    offset: np.ndarray
+    """``(E + 1,)`` int64: where each episode begins, and N."""
+    task: np.ndarray
+    """``(E,)`` task names."""
+
+
+class TrajectoryFile:
+    """A finished trajectory file, open for reading.
+
+    The object may be pickled and used in other processes, forked or not: each opens the file for itself
+    when it first reads. Use :meth:`open`, and the object as a context manager.
+    """
+
+    def __init__(self, path: Path, file: h5py.File, header: Header) -> None:
+        """Take over ``file``; :meth:`open` is the way to call this."""
+        self.path = path
+        self.tasks: tuple[str, ...] = header.tasks
+        self.domains: tuple[DomainSpec, ...] = header.domains
+        self.provenance: dict[str, Any] = header.provenance
+        self.hashes = read_hashes(file)
+        self._file: h5py.File | None = file
+        self._owner = os.getpid()
+        self._tables: dict[str, EpisodeTable] = {}
+
+    @classmethod
+    def open(cls, path: Path | str) -> TrajectoryFile:
+        """Open a file after checking that it is harmless, complete and of this format.
+
+        The values of the arrays are not checked: see :func:`verify_hashes`.
+
+        Args:
+            path: A trajectory file.
+
+        Raises:
+            TrajectoryFileError: If it is missing, damaged, hostile, unfinished or of another format or version.
+        """
+        path = Path(path).absolute()
+        file = open_guarded(path)
+        try:
+            with readable(path):
+                check_identity(file, path)
+                return cls(path, file, read_header(file, path))
+        except BaseException:
+            file.close()
+            raise
+
+    def __enter__(self) -> TrajectoryFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_file": None}
+
+    def close(self) -> None:
+        """Close the file; reading again opens it again."""
+        if self._file is not None:
+            self._file.close()
+        self._file = None
+
+    def spec(self, domain: str) -> DomainSpec:
+        """The spec of a domain.
+
+        Raises:
+            UserError: If the file has no such domain.
+        """
+        specs = {spec.name: spec for spec in self.domains}
+        if domain not in specs:
+            raise UserError(f"{self.path}: no domain {domain!r}; it has: {', '.join(specs)}")
+        return specs[domain]
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Number of episodes by domain and task, with zeros."""
+        tables = {spec.name: self.episodes(spec.name).task for spec in self.domains}
+        return {name: {task: int((table == task).sum()) for task in self.tasks} for name, table in tables.items()}
+
+    def episodes(self, domain: str) -> EpisodeTable:
+        """The episode table of a domain.
+
+        Raises:
+            UserError: If the file has no such domain.
+        """
+        if domain not in self._tables:
+            self.spec(domain)
+            group = f"/domains/{domain}/episodes"
+            offset, task, seed, success = (self._array(f"{group}/{name}")[()] for name in EPISODE_COLUMNS)
+            self._tables[domain] = EpisodeTable(offset, np.array(self.tasks, np.str_)[task], seed, success)
+        return self._tables[domain]
+
+    def read(
+        self, domain: str, episodes: Sequence[int] | np.ndarray | None = None, images: bool = True
+    ) -> DomainArrays:
+        """Read episodes of a domain into memory.
+
+        Args:
+            domain: Name of the domain.
+            episodes: ``(E,)`` episode numbers in any order; None for all.
+            images: Whether to read images, if the domain has a camera.
+
+        Raises:
+            UserError: If the file has no such domain or episode.
+            TrajectoryFileError: If the file turns out to be damaged.
+        """
+        spec, table = self.spec(domain), self.episodes(domain)
+        chosen, rows = self._chosen(domain, episodes), self.rows(domain, episodes)
+        offset = np.concatenate([[0], np.cumsum(np.diff(table.offset)[chosen])]).astype(np.int64)
+        group = f"/domains/{domain}"
+        columns = [self._gather(f"{group}/obs/{key.name}", rows) for key in spec.state_keys]
+        state = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
+        image = self.images(domain, episodes) if images and spec.image_key else None
+        return DomainArrays(state, image, self._gather(f"{group}/actions", rows), offset, table.task[chosen])
+
+    def rows(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """``(N,)`` int64: where the steps of episodes are in the domain's arrays, end to end.
+
+        Raises:
+            UserError: If the file has no such domain or episode.
+        """
+        offset, chosen = self.episodes(domain).offset, self._chosen(domain, episodes)
+        lengths = np.diff(offset)[chosen]
+        starts = offset[chosen] - np.cumsum(lengths) + lengths
+        return np.repeat(starts, lengths) + np.arange(lengths.sum())
+
+    def images(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """Images of episodes ``(N, H, W, C)`` uint8, end to end.
+
+        Raises:
+            UserError: If the file has no such domain or episode, or the domain has no camera.
+            TrajectoryFileError: If the file turns out to be damaged.
+        """
+        return self._stream(self._camera(domain), self.rows(domain, episodes))
+
+    def image_range(self, domain: str, start: int, stop: int) -> np.ndarray:
+        """Images of the steps ``start`` to ``stop`` (or the last) of a domain's arrays, ``(n, H, W, C)`` uint8.
+
+        Raises:
+            UserError: If the domain has no camera.
+            TrajectoryFileError: If the file turns out to be damaged.
+        """
+        last = int(self.episodes(domain).offset[-1])
+        return self._stream(self._camera(domain), np.arange(start, min(stop, last)))
+
+    def image_block(self, domain: str) -> int:
+        """Images that are compressed together, and so cost no more to read than one of them."""
+        chunks = self._array(self._camera(domain)).chunks
+        return 1 if chunks is None else int(chunks[0])
+
+    def trajectory(self, domain: str, episode: int) -> Trajectory:
+        """Read one demonstration.
+
+        Raises:
+            UserError: If the file has no such domain or episode.
+        """
+        table, arrays = self.episodes(domain), self.read(domain, [episode])
+        observation = Observation(arrays.state, arrays.image)
+        seed, success = int(table.seed[episode]), bool(table.success[episode])
+        return Trajectory(domain, str(table.task[episode]), observation, arrays.actions, seed, success)
+
+    def damaged(self) -> list[str]:
+        """Paths of the arrays whose values differ from what the writer stored; reads the whole file."""
+        paths = [place for spec in self.domains for place in array_paths(spec)]
+        return [place for place in paths if self.hashes.get(place) != self._stored_digest(place)]
+
+    def _camera(self, domain: str) -> str:
+        key = self.spec(domain).image_key
+        if key is None:
+            raise UserError(f"{self.path}: domain {domain!r} has no camera; ask for its state alone")
+        return f"/domains/{domain}/obs/{key.name}"
+
+    def _stored_digest(self, place: str) -> str:
+        try:
+            with readable(self.path):
+                return stored_digest(self._array(place))
+        except TrajectoryFileError:
+            return "unreadable"
+
+    def _chosen(self, domain: str, episodes: Sequence[int] | np.ndarray | None) -> np.ndarray:
+        count = len(self.episodes(domain).task)
+        chosen = np.arange(count) if episodes is None else np.asarray(episodes, np.int64)
+        if ((chosen < 0) | (chosen >= count)).any():
+            raise UserError(f"{self.path}: domain {domain!r} has episodes 0 to {count - 1}; asked for {chosen.max()}")
+        return chosen
+
+    def _array(self, place: str) -> h5py.Dataset:
+        if self._file is None or self._owner != os.getpid():
+            # A handle that came through a fork must not be used: https://github.com/pytorch/pytorch/issues/11929
+            file = open_guarded(self.path)
+            if read_hashes(file) != self.hashes:
+                raise TrajectoryFileError(f"{self.path}: the file was replaced while in use; start again")
+            self._file, self._owner = file, os.getpid()
+        return self._file[place]
+
+    def _gather(self, place: str, rows: np.ndarray) -> np.ndarray:
+        """One read that spans all rows, then a gather: fastest for vectors."""
+        with readable(self.path):
+            array = self._array(place)
+            if not len(rows):
+                return np.empty((0, *array.shape[1:]), array.dtype)
+            span: np.ndarray = array[rows.min() : rows.max() + 1]
+            return span if _is_range(rows) else span[rows - rows.min()]
+
+    def _stream(self, place: str, rows: np.ndarray) -> np.ndarray:
+        """One read for each run of neighbouring rows: nothing that is not asked for is decompressed or held."""
+        with readable(self.path):
+            array = self._array(place)
+            out = np.empty((len(rows), *array.shape[1:]), array.dtype)
+            breaks = np.flatnonzero(np.diff(rows) != 1) + 1
+            for start, stop in zip([0, *breaks], [*breaks, len(rows)], strict=True):
+                if start < stop:
+                    array.read_direct(out, np.s_[rows[start] : rows[stop - 1] + 1], np.s_[start:stop])
+            return out
+
+
+def verify_hashes(path: Path | str) -> None:
+    """Read the whole file and compare every array with its hash.
+
+    Args:
+        path: A trajectory file.
+
+    Raises:
+        TrajectoryFileError: If the file cannot be opened or a value in it has changed since it was written.
+    """
+    with TrajectoryFile.open(path) as file:
+        damaged = file.damaged()
+    if damaged:
+        found = f"values of {damaged[0]} that do not match their hash ({len(damaged)} arrays in all)"
+        raise TrajectoryFileError(f"{path}: found {found}; expected what the writer stored: copy or collect it again")
+
+
+def _is_range(rows: np.ndarray) -> bool:
+    return bool((np.diff(rows) == 1).all())

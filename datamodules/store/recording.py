@@ -1,0 +1,216 @@
+"""How demonstrations become the groups and arrays of a trajectory file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn, cast
+
+import h5py
+import numpy as np
+
+from datamodules.errors import TrajectoryFileError
+from datamodules.store.atomic import replacing
+from datamodules.store.reader import TrajectoryFile, verify_hashes
+from datamodules.store.schema import HEADER, Header, check_spec, check_tasks, digest, write_header
+from datamodules.types import DomainSpec, ObservationKey, Trajectory
+
+IMAGE_CHUNK = 8
+"""Frames in a compressed block: few, to read single frames; enough to profit from a scene that stands still."""
+ROW_CHUNK = 1024
+GZIP_LEVEL = 1
+
+
+class Episode(NamedTuple):
+    """An episode on its way into a file; its images stay where they are until they are written."""
+
+    task: str
+    seed: int
+    success: bool
+    state: np.ndarray
+    """``(T, O)`` float32."""
+    actions: np.ndarray
+    """``(T, A)`` float32."""
+    image: Callable[[], np.ndarray | None]
+    """Gives ``(T, H, W, C)`` uint8, or None."""
+
+
+def plain_json(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy as JSON gives it back.
+
+    Raises:
+        TrajectoryFileError: If JSON cannot hold it.
+    """
+    try:
+        return cast("dict[str, Any]", json.loads(json.dumps(dict(provenance), allow_nan=False)))
+    except (TypeError, ValueError) as error:
+        raise TrajectoryFileError(f"provenance cannot be stored ({error}); expected what JSON can hold") from error
+
+
+def episodes_by_domain(
+    trajectories: Iterable[Trajectory], domains: Sequence[DomainSpec], tasks: Sequence[str]
+) -> dict[str, list[Episode]]:
+    """Check demonstrations and group them by domain.
+
+    Raises:
+        TrajectoryFileError: Naming the first domain, task, or demonstration (with seed and key) that cannot be stored.
+    """
+    specs = {spec.name: spec for spec in domains}
+    for spec in domains:
+        check_spec(spec, f"domain {spec.name!r}")
+    check_tasks(tasks, "tasks")
+    if len(specs) < len(domains):
+        raise TrajectoryFileError(f"domains {', '.join(spec.name for spec in domains)}; expected every name once")
+    episodes: dict[str, list[Episode]] = {name: [] for name in specs}
+    for trajectory in trajectories:
+        _check_names(trajectory, specs, tasks)
+        episodes[trajectory.domain].append(_episode(trajectory, specs[trajectory.domain]))
+    return episodes
+
+
+def stored_episodes(file: TrajectoryFile, domain: str) -> list[Episode]:
+    """The episodes that a file holds of a domain; none if it does not know the domain."""
+    if domain not in {spec.name for spec in file.domains}:
+        return []
+    table, arrays = file.episodes(domain), file.read(domain, images=False)
+    states, actions = (np.split(array, table.offset[1:-1]) for array in (arrays.state, arrays.actions))
+    rows = zip(table.task, table.seed, table.success, states, actions, strict=False)
+    return [
+        Episode(str(task), int(seed), bool(success), state, action, partial(_image, file, domain, number))
+        for number, (task, seed, success, state, action) in enumerate(rows)
+    ]
+
+
+def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episode]], compress: bool) -> None:
+    """Write a file beside ``path``, read it back, and put it in its place; call it with the folder locked.
+
+    Args:
+        path: Where the file shall be; what is there is replaced.
+        header: Tasks, domains and provenance.
+        episodes: Episodes by domain, in any order.
+        compress: Whether to compress vectors too.
+
+    Raises:
+        TrajectoryFileError: If the disk is full or the folder may not be written to; ``path`` stays as it was.
+    """
+    with _writable(path), replacing(path) as temporary:
+        # The bounds keep files readable for HDF5 1.10.
+        with h5py.File(temporary, "w", libver=("earliest", "v110")) as file:
+            write_header(file, header)
+            hashes = {HEADER: header.digest()}
+            for spec in header.domains:
+                ordered = sorted(episodes.get(spec.name, ()), key=lambda e: (header.tasks.index(e.task), e.seed))
+                hashes |= _write_domain(file, spec, header.tasks, ordered, compress)
+            file.attrs["content_sha256"] = json.dumps(hashes, sort_keys=True)
+            file.attrs["complete"] = True
+        verify_hashes(temporary)
+
+
+@contextmanager
+def _writable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise TrajectoryFileError(
+            f"{path}: cannot be written ({reason}); expected a folder with free space: make room or choose another"
+        ) from error
+
+
+def _write_domain(
+    file: h5py.File, spec: DomainSpec, tasks: Sequence[str], episodes: Sequence[Episode], compress: bool
+) -> dict[str, str]:
+    offset = np.cumsum([0, *(len(episode.actions) for episode in episodes)], dtype=np.int64)
+    state = np.concatenate([np.empty((0, spec.state_size), np.float32), *(episode.state for episode in episodes)])
+    arrays = {f"obs/{key.name}": state[:, spec.columns([key.name])] for key in spec.state_keys}
+    arrays["actions"] = np.concatenate(
+        [np.empty((0, spec.action_size), np.float32), *(episode.actions for episode in episodes)]
+    )
+    arrays["episodes/offset"] = offset
+    arrays["episodes/task_id"] = np.array([tasks.index(episode.task) for episode in episodes], np.int32)
+    arrays["episodes/seed"] = np.array([episode.seed for episode in episodes], np.int64)
+    arrays["episodes/success"] = np.array([episode.success for episode in episodes], np.bool_)
+    group = file[f"domains/{spec.name}"]
+    hashes = {f"{group.name}/{name}": _write_array(group, name, array, compress) for name, array in arrays.items()}
+    if spec.image_key is not None:
+        place = f"{group.name}/obs/{spec.image_key.name}"
+        hashes[place] = _write_images(group, spec.image_key, int(offset[-1]), episodes)
+    for key in spec.observation:
+        group[f"obs/{key.name}"].attrs.update({"kind": key.kind, "unit": key.unit, "shape": key.shape})
+    return hashes
+
+
+def _write_array(group: h5py.Group, name: str, array: np.ndarray, compress: bool) -> str:
+    if compress and len(array):
+        chunk = (min(ROW_CHUNK, len(array)), *array.shape[1:])
+        group.create_dataset(name, data=array, chunks=chunk, compression="gzip", compression_opts=GZIP_LEVEL)
+    else:
+        group.create_dataset(name, data=array)
+    return digest(array.dtype, array.shape, [array])
+
+
+def _write_images(group: h5py.Group, key: ObservationKey, steps: int, episodes: Sequence[Episode]) -> str:
+    shape, name = (steps, *key.shape), f"obs/{key.name}"
+    if not steps:
+        return _write_array(group, name, np.empty(shape, np.uint8), False)
+    chunk = (min(IMAGE_CHUNK, steps), *key.shape)
+    array = group.create_dataset(name, shape, np.uint8, chunks=chunk, compression="gzip", compression_opts=GZIP_LEVEL)
+    return digest(array.dtype, shape, _written(array, episodes))
+
+
+def _written(array: h5py.Dataset, episodes: Iterable[Episode]) -> Iterator[np.ndarray]:
+    start = 0
+    for episode in episodes:
+        images = episode.image()
+        assert images is not None, "a domain with a camera has images, as was checked"
+        array[start : start + len(images)] = images
+        start += len(images)
+        yield images
+
+
+def _image(file: TrajectoryFile, domain: str, episode: int) -> np.ndarray | None:
+    return file.read(domain, [episode]).image
+
+
+def _check_names(trajectory: Trajectory, specs: Mapping[str, DomainSpec], tasks: Sequence[str]) -> None:
+    if trajectory.domain not in specs:
+        _refuse(trajectory, "an unknown domain", f"one of {', '.join(specs)}", "name it among the domains")
+    if trajectory.task not in tasks:
+        _refuse(trajectory, "an unknown task", f"one of {', '.join(tasks)}", "name it among the tasks")
+
+
+def _episode(trajectory: Trajectory, spec: DomainSpec) -> Episode:
+    state, actions = (np.asarray(array, np.float32) for array in (trajectory.observation.state, trajectory.actions))
+    steps, image, camera = len(trajectory), trajectory.observation.image, spec.image_key
+    if state.shape != (steps, spec.state_size):
+        _refuse(trajectory, f"state of shape {state.shape}", f"{(steps, spec.state_size)}", "check the domain's keys")
+    if actions.shape != (steps, spec.action_size):
+        _refuse(trajectory, f"actions of shape {actions.shape}", f"{(steps, spec.action_size)}", "check the expert")
+    wanted = None if camera is None else ((steps, *camera.shape), np.dtype(np.uint8))
+    found = None if image is None else (image.shape, image.dtype)
+    if found != wanted:
+        _refuse(trajectory, f"images {found}", f"{wanted}", "check the domain's camera")
+    _check_values(trajectory, spec, state, actions)
+    return Episode(trajectory.task, int(trajectory.seed), bool(trajectory.success), state, actions, lambda: image)
+
+
+def _check_values(trajectory: Trajectory, spec: DomainSpec, state: np.ndarray, actions: np.ndarray) -> None:
+    for key in spec.state_keys:
+        steps = np.flatnonzero(~np.isfinite(state[:, spec.columns([key.name])]).all(axis=1))
+        if len(steps):
+            found = f"a value that is not finite in {key.name!r}, step {steps[0]}"
+            _refuse(trajectory, found, "finite values", "leave it out")
+    steps = np.flatnonzero(~(np.abs(actions) <= 1).all(axis=1))
+    if len(steps):
+        found = f"actions {actions[steps[0]].tolist()} in step {steps[0]}"
+        _refuse(trajectory, found, "finite values in [-1, 1]", "clip or scale what the expert gives")
+
+
+def _refuse(trajectory: Trajectory, found: str, expected: str, remedy: str) -> NoReturn:
+    raise TrajectoryFileError(
+        f"demonstration of task {trajectory.task!r} in domain {trajectory.domain!r}, seed {trajectory.seed}: "
+        f"found {found}; expected {expected}: {remedy}"
+    )

@@ -1,0 +1,231 @@
+"""Format "plp-trajectories": what every object of a trajectory file is called, and whether a file keeps to it.
+
+The layout is described in ``docs/format.md``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, cast
+
+import h5py
+import numpy as np
+
+from datamodules.errors import TrajectoryFileError
+from datamodules.store.guard import is_name
+from datamodules.types import DomainSpec, ObservationKey
+
+FORMAT = "plp-trajectories"
+FORMAT_VERSION = "1.0"
+HEADER = "header"
+EPISODE_COLUMNS: dict[str, type[np.generic]] = {
+    "offset": np.int64,
+    "task_id": np.int32,
+    "seed": np.int64,
+    "success": np.bool_,
+}
+_HASH_BLOCK_BYTES = 16 * 2**20
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says about itself, apart from its arrays."""
+
+    tasks: tuple[str, ...]
+    domains: tuple[DomainSpec, ...]
+    provenance: dict[str, Any]
+
+    def digest(self) -> str:
+        """Sha256 of the header's JSON."""
+        specs = [{**spec.to_dict(), "control_hz": float(spec.control_hz)} for spec in self.domains]
+        text = json.dumps([self.tasks, specs, self.provenance], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def array_dtypes(spec: DomainSpec) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
+    """Shape of one row and dtype of a domain's arrays with one row a step, by path below the domain."""
+    arrays: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {"actions": ((spec.action_size,), np.float32)}
+    for key in spec.observation:
+        arrays[f"obs/{key.name}"] = key.shape, np.uint8 if key.kind == "image" else np.float32
+    return arrays
+
+
+def array_paths(spec: DomainSpec) -> list[str]:
+    """Absolute paths of all arrays of a domain."""
+    below = [*array_dtypes(spec), *(f"episodes/{name}" for name in EPISODE_COLUMNS)]
+    return [f"/domains/{spec.name}/{name}" for name in below]
+
+
+def digest(dtype: np.dtype[Any], shape: Sequence[int], blocks: Iterable[np.ndarray]) -> str:
+    """Sha256 of an array: its type, its shape and its bytes in C order.
+
+    Args:
+        dtype: Type of the array, little-endian.
+        shape: Shape of the whole array.
+        blocks: The array's rows in order, in pieces of any length.
+    """
+    sha = hashlib.sha256(f"{dtype.str}{list(shape)}".encode())
+    for block in blocks:
+        sha.update(np.ascontiguousarray(block).data)
+    return sha.hexdigest()
+
+
+def stored_digest(array: h5py.Dataset) -> str:
+    """:func:`digest` of an array in a file, read in pieces."""
+    row_bytes = max(1, array.dtype.itemsize * math.prod(array.shape[1:]))
+    step = max(8, _HASH_BLOCK_BYTES // row_bytes // 8 * 8)
+    return digest(array.dtype, array.shape, (array[i : i + step] for i in range(0, array.shape[0], step)))
+
+
+def check_spec(spec: DomainSpec, place: str) -> None:
+    """Check that a domain can be stored.
+
+    Args:
+        spec: The domain.
+        place: What messages begin with.
+
+    Raises:
+        TrajectoryFileError: If a name, shape, size or rate is not allowed.
+    """
+    names = [spec.name, *(key.name for key in spec.observation)]
+    bad = next((name for name in names if not is_name(name)), None)
+    if bad is not None:
+        _fail(place, f"name {bad!r}", "1 to 64 letters, digits, '_', '.', '-'")
+    if len(set(names[1:])) < len(names[1:]) or sum(key.kind == "image" for key in spec.observation) > 1:
+        _fail(place, f"observation keys {', '.join(names[1:])}", "different names and at most one image")
+    ranks = {"state": 1, "image": 3}
+    for key in spec.observation:
+        if len(key.shape) != ranks.get(key.kind) or min(key.shape) < 1:
+            _fail(
+                place,
+                f"key {key.name!r} of kind {key.kind!r}, shape {key.shape}",
+                "(n,) for state, (H, W, C) for image",
+            )
+    if not "".join([spec.env, *(key.unit for key in spec.observation)]).isprintable():
+        _fail(place, "control characters in env or unit", "printable text")
+    if spec.action_size < 1 or not 0 < spec.control_hz < math.inf:
+        _fail(place, f"{spec.action_size} actions at {spec.control_hz} Hz", "positive, finite numbers")
+
+
+def check_tasks(tasks: Sequence[str], place: str) -> None:
+    """Check that task names can be stored.
+
+    Raises:
+        TrajectoryFileError: If one is not a name, or stands twice.
+    """
+    bad = next((task for task in tasks if not is_name(task)), None)
+    if bad is not None:
+        _fail(place, f"task name {bad!r}", "1 to 64 letters, digits, '_', '.', '-'")
+    if len(set(tasks)) < len(tasks):
+        _fail(place, f"tasks {', '.join(tasks)}", "every name once")
+
+
+def write_header(file: h5py.File, header: Header) -> None:
+    """Write everything but the arrays of the domains, the hashes and ``complete``."""
+    file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+    file.attrs["provenance"] = json.dumps(header.provenance, sort_keys=True)
+    file.attrs["domains"] = json.dumps([spec.name for spec in header.domains])
+    file["tasks/name"] = np.array(header.tasks, "S64")
+    for spec in header.domains:
+        group = file.create_group(f"domains/{spec.name}")
+        group.attrs["observation"] = json.dumps([key.name for key in spec.observation])
+        group.attrs.update({"action_size": spec.action_size, "control_hz": float(spec.control_hz), "env": spec.env})
+
+
+def check_identity(file: h5py.File, path: Path) -> None:
+    """Check that a file is a finished one of this format and version.
+
+    Raises:
+        TrajectoryFileError: If it is not.
+    """
+    found = {name: file.attrs.get(name) for name in ("format", "format_version", "complete")}
+    if not isinstance(found["format"], str) or found["format"] != FORMAT:
+        _fail(path, f"format {found['format']!r}", f"{FORMAT!r}", "convert it with 'plp data import'")
+    if found["format_version"] != FORMAT_VERSION:
+        found_version = f"format version {found['format_version']!r}"
+        _fail(path, found_version, f"{FORMAT_VERSION!r}", "update plp or convert the file")
+    if found["complete"] is None or not bool(found["complete"]):
+        _fail(path, "a file whose writing was never finished", "a complete one")
+
+
+def read_header(file: h5py.File, path: Path) -> Header:
+    """Read tasks, domains and provenance, and check that every array has its place, type and shape.
+
+    Raises:
+        TrajectoryFileError: Naming the first thing that is not as the format wants it.
+    """
+    tasks = tuple(name.decode() for name in _array(file, "/tasks/name", path)[()])
+    check_tasks(tasks, str(path))
+    domains = tuple(_read_spec(file, name, path) for name in json.loads(file.attrs["domains"]))
+    header = Header(tasks, domains, dict(json.loads(file.attrs["provenance"])))
+    if read_hashes(file).get(HEADER) != header.digest():
+        _fail(path, "tasks, domains or provenance that do not match their hash", "what the writer stored")
+    for spec in domains:
+        _check_arrays(file, spec, path)
+    return header
+
+
+def read_hashes(file: h5py.File) -> dict[str, str]:
+    """Sha256 by path of the array, and of the header under ``header``."""
+    return cast("dict[str, str]", dict(json.loads(file.attrs["content_sha256"])))
+
+
+def _read_spec(file: h5py.File, name: str, path: Path) -> DomainSpec:
+    place = f"{path}: domain {name!r}"
+    if not is_name(name) or f"domains/{name}" not in file:
+        _fail(place, "no group of that name", f"/domains/{name}")
+    group = file[f"domains/{name}"]
+    keys = tuple(_read_key(file, f"/domains/{name}/obs", key, path) for key in json.loads(group.attrs["observation"]))
+    attrs = group.attrs
+    if not any(key.kind == "state" for key in keys):
+        _fail(place, "no state key", "at least one")
+    spec = DomainSpec(name, keys, int(attrs["action_size"]), float(attrs["control_hz"]), str(attrs["env"]))
+    check_spec(spec, place)
+    return spec
+
+
+def _read_key(file: h5py.File, place: str, name: str, path: Path) -> ObservationKey:
+    attrs = _array(file, f"{place}/{name}", path).attrs
+    return ObservationKey(name, tuple(int(n) for n in attrs["shape"]), attrs["kind"], str(attrs["unit"]))
+
+
+def _array(file: h5py.File, place: str, path: Path) -> h5py.Dataset:
+    if not isinstance(file.get(place), h5py.Dataset):
+        _fail(path, f"no array {place}", "all arrays of the format")
+    return file[place]
+
+
+def _check_arrays(file: h5py.File, spec: DomainSpec, path: Path) -> None:
+    group = f"/domains/{spec.name}"
+    episodes = _array(file, f"{group}/episodes/task_id", path).size
+    for name, dtype in EPISODE_COLUMNS.items():
+        shape = (episodes + (name == "offset"),)
+        _check_array(_array(file, f"{group}/episodes/{name}", path), shape, dtype, path)
+    _check_table(file, group, path)
+    steps = int(file[f"{group}/episodes/offset"][-1])
+    for name, (row, dtype) in array_dtypes(spec).items():
+        _check_array(_array(file, f"{group}/{name}", path), (steps, *row), dtype, path)
+
+
+def _check_array(array: h5py.Dataset, shape: tuple[int, ...], dtype: type[np.generic], path: Path) -> None:
+    if array.shape != shape or array.dtype != dtype:
+        found = f"{array.name} of shape {array.shape}, type {array.dtype}"
+        _fail(path, found, f"shape {shape}, type {np.dtype(dtype)}")
+
+
+def _check_table(file: h5py.File, group: str, path: Path) -> None:
+    offset, task_id = file[f"{group}/episodes/offset"][()], file[f"{group}/episodes/task_id"][()]
+    if offset[0] != 0 or (np.diff(offset) <= 0).any():
+        _fail(path, f"{group}/episodes/offset {offset[:4].tolist()}…", "0 first, then strictly rising")
+    tasks = file["tasks/name"].size
+    if ((task_id < 0) | (task_id >= tasks)).any():
+        _fail(path, f"a number outside 0…{tasks - 1} in {group}/episodes/task_id", "known tasks")
+
+
+def _fail(place: Path | str, found: str, expected: str, remedy: str = "collect or copy the file again") -> NoReturn:
+    raise TrajectoryFileError(f"{place}: found {found}; expected {expected}: {remedy}")

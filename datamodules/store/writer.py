@@ -1,0 +1,163 @@
+"""Writing trajectory files: a file is complete or absent, and its content does not depend on the order of collection.
+
+Everything of the format that other modules need can be imported from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datamodules.errors import TrajectoryFileError
+from datamodules.store.atomic import locked_folder
+from datamodules.store.guard import check_objects, open_guarded
+from datamodules.store.reader import DomainArrays, EpisodeTable, TrajectoryFile, verify_hashes
+from datamodules.store.recording import Episode, episodes_by_domain, plain_json, stored_episodes, write_file
+from datamodules.store.schema import FORMAT, FORMAT_VERSION, Header, array_paths
+from datamodules.types import DomainSpec, Trajectory
+
+__all__ = [
+    "FORMAT",
+    "FORMAT_VERSION",
+    "DomainArrays",
+    "EpisodeTable",
+    "TrajectoryFile",
+    "add_trajectories",
+    "verify_hashes",
+    "write_trajectories",
+]
+
+
+def write_trajectories(
+    path: Path | str,
+    domains: Sequence[DomainSpec],
+    tasks: Sequence[str],
+    trajectories: Iterable[Trajectory],
+    provenance: Mapping[str, Any],
+    compress: bool = False,
+) -> None:
+    """Create a trajectory file; it appears complete or not at all.
+
+    Episodes are sorted by task, then by seed; those with the same seed stay in the order in which they come.
+
+    Args:
+        path: The new file; missing folders are made.
+        domains: All domains of the experiment, also those that have no demonstration yet.
+        tasks: Names of all tasks in their canonical order.
+        trajectories: The demonstrations, in any order.
+        provenance: Command, seeds, versions, expert: anything that JSON can hold.
+        compress: Whether to compress vectors too; images always are.
+
+    Raises:
+        TrajectoryFileError: If the file exists, cannot be written, or a demonstration does not fit its domain.
+    """
+    path, episodes = Path(path).resolve(), episodes_by_domain(trajectories, domains, tasks)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with locked_folder(path.parent):
+        if path.exists():
+            raise TrajectoryFileError(f"{path}: the file exists; expected a new one: choose another name or remove it")
+        write_file(path, Header(tuple(tasks), tuple(domains), plain_json(provenance)), episodes, compress)
+
+
+def add_trajectories(
+    path: Path | str,
+    domains: Sequence[DomainSpec],
+    tasks: Sequence[str],
+    trajectories: Iterable[Trajectory],
+    provenance: Mapping[str, Any],
+    compress: bool = False,
+) -> None:
+    """Add demonstrations to a file, or create it: the old file is replaced in one step by one that holds both.
+
+    Demonstrations that the file holds already, value for value, are skipped. Earlier provenance is kept
+    under the key ``earlier``.
+
+    Args:
+        path: The file to grow; missing folders are made.
+        domains: Domains of the new demonstrations; those that the file knows must be the same as there.
+        tasks: Names of all tasks in their canonical order.
+        trajectories: The demonstrations, in any order.
+        provenance: Command, seeds, versions, expert: anything that JSON can hold.
+        compress: Whether to compress vectors too; images always are.
+
+    Raises:
+        TrajectoryFileError: If a domain differs from the file's, the file holds arrays that growing would
+            drop, it cannot be read or written, or a demonstration does not fit its domain. The old file stays.
+    """
+    path, episodes = Path(path).resolve(), episodes_by_domain(trajectories, domains, tasks)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    header = Header(tuple(tasks), tuple(domains), plain_json(provenance))
+    with locked_folder(path.parent):
+        if not path.exists():
+            write_file(path, header, episodes, compress)
+            return
+        with TrajectoryFile.open(path) as old:
+            _check_growth(old, domains)
+            merged = _merged_header(old, header)
+            names = [spec.name for spec in merged.domains]
+            both = {name: _union(stored_episodes(old, name), episodes.get(name, [])) for name in names}
+            write_file(path, merged, both, compress)
+
+
+def _merged_header(old: TrajectoryFile, new: Header) -> Header:
+    specs = {spec.name: spec for spec in (*old.domains, *new.domains)}
+    names = _merge([spec.name for spec in old.domains], [spec.name for spec in new.domains])
+    domains = tuple(specs[name] for name in names)
+    return Header(_merge(old.tasks, new.tasks), domains, _history(old.provenance, new.provenance))
+
+
+def _merge(old: Sequence[str], new: Sequence[str]) -> tuple[str, ...]:
+    """The new order if it covers the old names, so that the order of collection does not matter."""
+    return tuple(new) if set(old) <= set(new) else (*old, *(name for name in new if name not in old))
+
+
+def _history(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    latest = {name: value for name, value in old.items() if name != "earlier"}
+    earlier = [record for record in (*old.get("earlier", []), latest) if record != new]
+    return {**new, "earlier": earlier} if earlier else new
+
+
+def _union(old: list[Episode], new: list[Episode]) -> list[Episode]:
+    known: dict[tuple[str, int], list[Episode]] = {}
+    for episode in old:
+        known.setdefault((episode.task, episode.seed), []).append(episode)
+    return [*old, *(e for e in new if not any(_same(e, other) for other in known.get((e.task, e.seed), [])))]
+
+
+def _same(one: Episode, other: Episode) -> bool:
+    arrays = zip(_values(one), _values(other), strict=True)
+    return one.success == other.success and all(np.array_equal(a, b) for a, b in arrays)
+
+
+def _values(episode: Episode) -> tuple[np.ndarray, ...]:
+    return episode.actions, episode.state, np.asarray(episode.image())
+
+
+def _check_growth(old: TrajectoryFile, domains: Sequence[DomainSpec]) -> None:
+    known = {spec.name: spec.to_dict() for spec in old.domains}
+    for new in domains:
+        for field, expected in new.to_dict().items():
+            found = known.get(new.name, {field: expected})[field]
+            if found != expected:
+                raise TrajectoryFileError(
+                    f"{old.path}: domain {new.name!r} has {_difference(field, found, expected)}: "
+                    "restore the setting or collect into another file"
+                )
+    with open_guarded(old.path) as file:
+        extra = set(check_objects(file, old.path)).difference(["/tasks/name"], *map(array_paths, old.domains))
+    if extra:
+        raise TrajectoryFileError(f"{old.path}: found {min(extra)}; growing would drop it: collect into another file")
+
+
+def _difference(field: str, found: Any, expected: Any) -> str:
+    if field != "observation":
+        return f"{field} {found!r} in the file; expected {expected!r}"
+    ours, theirs = ({key["name"]: key for key in keys} for keys in (expected, found))
+    if list(ours) != list(theirs):
+        return f"keys {', '.join(theirs)} in the file; expected {', '.join(ours)}"
+    name = next(name for name in ours if ours[name] != theirs[name])
+    part = next(part for part in ours[name] if ours[name][part] != theirs[name][part])
+    return f"key {name!r} with {part} {theirs[name][part]!r} in the file; expected {ours[name][part]!r}"

@@ -1,6 +1,0 @@
-"""GAMA: a source policy, and maps of states and actions between the domains."""
-
-from plp_lightning.baselines.gama.phases import GamaAdaptation, GamaAlignment, GamaPretraining
-from plp_lightning.baselines.gama.policy import GamaPolicy
-
-__all__ = ["GamaAdaptation", "GamaAlignment", "GamaPolicy", "GamaPretraining"]

@@ -1,0 +1,78 @@
+"""``plp doctor``: what works on this machine, and what to install for the rest."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from typing import Any, get_args
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from datamodules.errors import UserError
+from plp_lightning.cli.options import OptionParser
+from plp_lightning.envs.rendering.backend import Backend
+from plp_lightning.envs.rendering.speed import frames_per_second
+from plp_lightning.envs.threads import available_cores
+from plp_lightning.runs.versions import PACKAGES, versions
+
+THREADS = ("OMP_NUM_THREADS", "LP_NUM_THREADS")
+"""Variables that say how many threads a library starts in each process."""
+
+
+def run_doctor(arguments: Sequence[str]) -> None:
+    """``plp doctor``: packages, renderers with frames per second, cores."""
+    parser = OptionParser("plp doctor", description="What works on this machine, and what to install for the rest.")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    options = parser.parse_args(list(arguments))
+    findings = examine()
+    if options.json:
+        print(json.dumps(findings, indent=2))
+    else:
+        _show(findings)
+
+
+def examine() -> dict[str, Any]:
+    """What ``plp doctor --json`` prints, as plain lists, strings and numbers."""
+    packages = versions()
+    renderers = {backend: _try(backend) for backend in get_args(Backend)}
+    lacking = [name for name in PACKAGES if name not in packages]
+    advice = [f"{', '.join(lacking)}: not installed; run pip install -e ."] if lacking else []
+    if not any("frames_per_second" in found for found in renderers.values()):
+        advice += [found["error"] for found in renderers.values()]
+    return {
+        "packages": packages,
+        "missing": lacking,
+        "renderers": renderers,
+        "cores": {"available": available_cores(), "machine": os.cpu_count()},
+        "threads": {name: os.environ.get(name) for name in THREADS},
+        "advice": advice,
+    }
+
+
+def _try(backend: Backend) -> dict[str, Any]:
+    try:
+        return {"frames_per_second": round(frames_per_second(backend))}
+    except UserError as error:
+        return {"error": str(error)}
+
+
+def _show(findings: dict[str, Any]) -> None:
+    console = Console(soft_wrap=True)
+    packages, renderers = Table("package", "version"), Table("renderer", "64 × 64 images")
+    for name, version in findings["packages"].items():
+        packages.add_row(name, version)
+    for name in findings["missing"]:
+        packages.add_row(name, "[red]missing[/]")
+    for name, found in findings["renderers"].items():
+        works = "frames_per_second" in found
+        renderers.add_row(name, f"{found['frames_per_second']} frames/s a thread" if works else escape(found["error"]))
+    console.print(packages, renderers)
+    cores = findings["cores"]
+    console.print(f"cores: {cores['available']} for this process, {cores['machine']} in the machine", highlight=False)
+    for name, value in findings["threads"].items():
+        console.print(f"{name}: {value or 'not set'}", highlight=False)
+    for line in findings["advice"] or ["all is well"]:
+        console.print(escape(line), highlight=False, style="bold")

@@ -1,0 +1,96 @@
+"""``plp``: the verbs. Light ones never import torch, so that help and file inspection answer at once."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+
+from datamodules.errors import ConfigError, UserError
+
+VERBS = {
+    "fit": ("plp_lightning.cli.experiments:run_fit", "train every phase of a method, evaluate, report"),
+    "collect": ("plp_lightning.cli.experiments:run_collect", "collect the demonstrations that an experiment lacks"),
+    "validate": ("plp_lightning.cli.experiments:run_validate", "held-out losses and alignment scores of a run"),
+    "test": ("plp_lightning.cli.experiments:run_test", "success rates of a run in the simulators"),
+    "predict": ("plp_lightning.cli.experiments:run_predict", "actions of a run's policy on held-out trajectories"),
+    "report": ("plp_lightning.cli.report:run_report", "success rates of many runs beside the paper's"),
+    "data": ("plp_lightning.cli.data:run_data", "inspect, validate or import trajectory files"),
+    "doctor": ("plp_lightning.cli.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
+}
+
+USAGE = """usage: plp VERB [options]
+
+Cross-domain policy transfer by representation alignment.
+
+verbs:
+{verbs}
+
+The main job: plp fit --config configs/r2r.yaml
+Options of a verb: plp VERB --help"""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a verb; a user's mistake is one line on standard error and exit code 2."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(USAGE.format(verbs="\n".join(f"  {name:9} {text}" for name, (_, text) in VERBS.items())))
+        return
+    if words[0] == "--version":
+        print(f"plp {installed_version()}")
+        return
+    way_on = "plp fit --resume RUN_DIR" if words[0] == "fit" else "the same command"
+    # Several runs at once must not fight for cores; set before any library starts its threads.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    try:
+        find_verb(words[0])(words[1:])
+    except UserError as error:
+        print(f"plp: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)
+    except OSError as error:
+        print(f"plp: {describe(error)}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print(f"plp: stopped; go on with {way_on}", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:
+        # Asked to stop by a signal: the state is saved, and a scheduler reads the exit code.
+        if not hasattr(error, "exit_code"):
+            raise
+        print(f"plp: {error}; go on with {way_on}", file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+def find_verb(name: str) -> Callable[[Sequence[str]], None]:
+    """The function behind a verb.
+
+    Raises:
+        ConfigError: If there is no such verb.
+    """
+    if name not in VERBS:
+        near = difflib.get_close_matches(name, VERBS, n=1)
+        raise ConfigError(f"unknown verb {name!r}; " + (f"did you mean {near[0]!r}?" if near else "see plp --help"))
+    module, function = VERBS[name][0].split(":")
+    verb: Callable[[Sequence[str]], None] = getattr(importlib.import_module(module), function)
+    return verb
+
+
+def installed_version() -> str:
+    """Version of the installed package, or a word for a checkout that was never installed."""
+    metadata = importlib.import_module("importlib.metadata")
+    try:
+        return str(metadata.version("plp-lightning"))
+    except metadata.PackageNotFoundError:
+        return "from a checkout that is not installed; run pip install -e ."
+
+
+def describe(error: OSError) -> str:
+    """What the file system refused, and where: a full disk, say, or a folder that may not be written."""
+    place = f"{error.filename}: " if error.filename else ""
+    return f"{place}{error.strerror or error}; expected a place that can be read and written: free or name another"
+
+
+if __name__ == "__main__":
+    main()

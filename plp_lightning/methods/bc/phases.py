@@ -1,0 +1,92 @@
+"""Cloning by a flat policy: of proxy tasks in every domain, then of the target task."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from torch import Tensor
+
+from datamodules.errors import ConfigError
+from datamodules.types import Batch, BatchSpec
+from plp_lightning.losses import behavioural_cloning
+from plp_lightning.methods.bc.policy import BCPolicy
+from plp_lightning.methods.phase import Phase, Schedule
+
+
+class BCCloning(Phase[BCPolicy]):
+    """Behavioural cloning of the proxy tasks in every domain (paper, Eq. 1, with a flat policy).
+
+    Args:
+        policy: The policy to train.
+        bc_reduction: Over action dimensions: ``mean``, or ``sum`` as printed in the paper.
+        epochs: Passes over the proxy data, counted in samples of all domains together.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate; the paper names none.
+        domains: Whose demonstrations are learnt; of all domains if not given. One alone tells whether its
+            demonstrations can be cloned.
+
+    Raises:
+        ConfigError: If there is no such domain.
+    """
+
+    trains = BCPolicy
+    batch_spec = BatchSpec("proxy_tasks")
+
+    def __init__(
+        self,
+        policy: BCPolicy,
+        bc_reduction: Literal["mean", "sum"] = "mean",
+        epochs: int = 100,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+        domains: list[str] | None = None,
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        unknown = sorted({*(domains or [])} - policy.domains.keys())
+        if unknown or domains == []:
+            raise ConfigError(f"domains is {domains}; expected some of: {', '.join(policy.domains)}")
+        self.bc_reduction, self.learnt = bc_reduction, frozenset(policy.domains if domains is None else domains)
+
+    def _learnt_part(self, batch: Batch) -> Batch:
+        return batch._replace(steps={d: s for d, s in batch.steps.items() if d in self.learnt})
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Behavioural-cloning loss on held-out trajectories, for each domain that is learnt."""
+        super().validation_step(self._learnt_part(batch), batch_idx)
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """The loss of one batch."""
+        steps = self._learnt_part(batch).steps
+        action = {domain: s.action for domain, s in steps.items()}
+        loss = behavioural_cloning(self.predict(steps), action, self.bc_reduction)
+        if self.logs_now:
+            self.log_parts({"bc": loss}, sum(len(part) for part in action.values()))
+        return loss
+
+
+class BCAdaptation(BCCloning):
+    """Behavioural cloning of the target task in the source domain, mixed with proxies; nothing is frozen.
+
+    Args:
+        policy: The policy that has learnt the proxy tasks.
+        bc_reduction: Over action dimensions: ``mean`` or ``sum``.
+        epochs: Passes over the target task's data and its mix.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate; the paper names none.
+    """
+
+    batch_spec = BatchSpec("mix")
+
+    def __init__(
+        self,
+        policy: BCPolicy,
+        bc_reduction: Literal["mean", "sum"] = "mean",
+        epochs: int = 50,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(policy, bc_reduction, epochs, lr, weight_decay, lr_schedule)

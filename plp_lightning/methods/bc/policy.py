@@ -1,0 +1,79 @@
+"""BC: one flat policy digests state, domain and task at once; nothing in it is shared on purpose or aligned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.batches.normalization import Scaling
+from datamodules.problem import TransferProblem
+from plp_lightning.methods.policy import Observations, Parts, Policy
+from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoder, InputScaler, Sharing
+from plp_lightning.networks.vision import encode_images, image_shape
+
+
+class BCPolicy(Policy):
+    """The flat policy of the paper's baseline "BC" (Section 5.2): π(s, d, k), one perceptron.
+
+    It is an action decoder alone, as deep as the three parts of a portable policy together, that is told the task
+    in the place of a latent action.
+
+    Args:
+        problem: Domains and tasks.
+        hidden: Units in every hidden layer.
+        layers: Hidden layers.
+        gradient_floor: Least slope of the final tanh in the backward pass; 0 is the plain tanh.
+        columns: Of states and actions: each domain's ``own``, or ``shared`` by all.
+        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        clip: Bound of z-scored inputs, in deviations.
+        image_channels: Of each convolution of the image encoder; without any, the policy is blind.
+        image_features: Length of the vector that an image becomes.
+
+    Raises:
+        ConfigError: If a size is wrong, or the domains' images differ in shape.
+    """
+
+    def __init__(
+        self,
+        problem: TransferProblem,
+        hidden: int = 192,
+        layers: int = 10,
+        gradient_floor: float = 0.1,
+        columns: Sharing = "own",
+        scaling: dict[str, Scaling] | None = None,
+        clip: float = 5.0,
+        image_channels: Sequence[int] = (64, 64, 128, 128, 128),
+        image_features: int = 1024,
+    ) -> None:
+        architecture = {
+            "hidden": hidden,
+            "layers": layers,
+            "gradient_floor": gradient_floor,
+            "columns": columns,
+            "scaling": scaling,
+            "clip": clip,
+            "image_channels": list(image_channels),
+            "image_features": image_features,
+        }
+        super().__init__(problem, architecture)
+        domains = problem.domains
+        self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
+        self.states = DomainColumns({spec.name: spec.state_size for spec in domains}, columns)
+        self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
+        shape = image_shape(domains) if image_channels else None
+        self.image_encoder = None if shape is None else ImageEncoder(shape, image_channels, image_features)
+        seen = self.states.width + len(domains) + (0 if shape is None else image_features)
+        self.net = ActionDecoder(len(problem.tasks), seen, self.actions.width, hidden, layers, gradient_floor)
+
+    def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
+        """π(s, d, k): actions ``(B_d, A_d)`` by domain, in one pass for all of them."""
+        state = self.states.join({d: self.scaler(obs.state, d) for d, obs in observation.items()})
+        if self.image_encoder is not None:
+            state = torch.cat([state, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
+        wanted = torch.cat([task[domain] for domain in observation])
+        one_hot = nn.functional.one_hot(wanted, len(self.tasks)).to(state.dtype)
+        joined = self.net(one_hot, state)
+        parts = joined.split([len(obs.state) for obs in observation.values()])
+        return {d: self.actions.take(part, d) for d, part in zip(observation, parts, strict=True)}

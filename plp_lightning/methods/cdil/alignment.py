@@ -1,0 +1,233 @@
+"""CDIL's translation of states, learned from unpaired, unaligned trajectories without looking at any action."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.errors import ConfigError
+from datamodules.types import Batch, BatchSpec, Steps
+from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.methods.cdil.losses import (
+    cycle,
+    position_gap,
+    translation_discriminator_loss,
+    translation_generator_loss,
+)
+from plp_lightning.methods.cdil.networks import OTHER, Role, TaskNetwork
+from plp_lightning.methods.cdil.phases import CdilPhase
+from plp_lightning.methods.cdil.policy import CdilPolicy
+from plp_lightning.methods.phase import loss_weights
+from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
+from plp_lightning.networks import with_frozen_parameters
+
+
+class StatePairs(NamedTuple):
+    """Steps of one domain as pairs of states, the form in which they are translated."""
+
+    states: Tensor
+    """States and those after them, ``(2, B, O)``."""
+    task: Tensor
+    """``(B,)``."""
+    shared: Tensor
+    """``(B,)``: 1 where both domains have demonstrations of the task, 0 else."""
+    moves: Tensor
+    """``(B,)``: the same, and 0 where no state follows either."""
+
+
+class RoundTrip(NamedTuple):
+    """States that were translated into the other domain, and the first of each two back."""
+
+    latent: Tensor
+    """Of the first states, ``(B, Z)``."""
+    abroad: Tensor
+    """In the other domain, ``(2, B, O')``."""
+    latent_abroad: Tensor
+    """Of the first of those, ``(B, Z)``."""
+    home: Tensor
+    """Back again, ``(B, O)``."""
+
+
+class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
+    """Adversarial translation that is consistent in cycles, latent cycles and temporal position (CDIL's second step).
+
+    Discriminators look at two states that follow each other and at the task, so that what is translated has to move
+    like the other domain. The target task has demonstrations in the source domain alone: they take part in the terms
+    that need no counterpart, the two cycles ("inference-time adaptation"). No coefficient of the authors is known; the
+    cycle's is CycleGAN's, how the others were chosen is in ``docs/methods/cdil.md``. The pace of either domain is
+    measured before.
+
+    Args:
+        policy: The policy with trained position models.
+        adversarial_weight: Of the translator's loss against the discriminators.
+        cycle_weight: Of the cycle x → y → x, and its mirror image.
+        latent_weight: Of the latent cycle.
+        position_weight: Of the consistency of temporal positions.
+        noise: Deviation of Gaussian noise on what discriminators see, real or not. Two states that follow each other
+            obey the physics to the last digit, and translated ones never do: without noise that gives them away, and
+            the discriminators have nothing to teach.
+        penalty_weight: γ of the penalty on the discriminators' slopes, to the same end.
+        discriminator_layers: Hidden layers of each discriminator.
+        discriminator_hidden: Units in its hidden layers.
+        discriminator_lr: Learning rate of the discriminators; None is ``lr``.
+        first_moment: β₁ of AdamW, for all players.
+        slowdown: Share of the epochs, at the end, over which all rates fall to 0 in a line; players who never slow
+            down go on circling around each other.
+        epochs: Passes over all data that there is.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+
+    Raises:
+        ConfigError: If a weight is below 0, or ``slowdown`` no share.
+    """
+
+    batch_spec = BatchSpec("all", images=False, course=True)
+    parts_trained = ("translator", "pace")
+    shared: Tensor
+
+    def __init__(
+        self,
+        policy: CdilPolicy,
+        adversarial_weight: float = 10.0,
+        cycle_weight: float = 10.0,
+        latent_weight: float = 1.0,
+        position_weight: float = 1.0,
+        noise: float = 0.1,
+        penalty_weight: float = 0.1,
+        discriminator_layers: int = 3,
+        discriminator_hidden: int = 192,
+        discriminator_lr: float | None = None,
+        first_moment: float = 0.5,
+        slowdown: float = 0.5,
+        epochs: int = 20,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay)
+        if not 0 <= slowdown <= 1:
+            raise ConfigError(f"alignment.slowdown is {slowdown}; expected a share from 0 to 1; set one")
+        weights = {"adversarial": adversarial_weight, "cycle": cycle_weight, "latent": latent_weight}
+        weights |= {"position": position_weight, "discriminator": 1.0, "penalty": penalty_weight}
+        self.weights = loss_weights(weights)
+        self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
+        self.first_moment, self.slowdown, self.noise = first_moment, slowdown, noise
+        sizes = {role: policy.perception.sizes[domain] for domain, role in policy.roles.items()}
+        tasks, hidden, layers = len(policy.tasks), discriminator_hidden, discriminator_layers
+        self.discriminators = nn.ModuleDict(
+            {role: TaskNetwork(2 * size, tasks, 1, hidden, layers) for role, size in sizes.items()}
+        )
+        self.register_buffer("shared", torch.ones(tasks), persistent=False)
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """One AdamW for all players, whose losses reach nobody else's parameters."""
+        groups = [
+            {"params": [*self.policy.translator.parameters()], "lr": self.lr},
+            {"params": [*self.discriminators.parameters()], "lr": self.discriminator_lr},
+        ]
+        betas = (self.first_moment, 0.999)
+        return torch.optim.AdamW(groups, betas=betas, weight_decay=self.weight_decay, fused=True)
+
+    def on_fit_start(self) -> None:
+        """Perceive every step, measure how fast states change, note which tasks are demonstrated in both domains."""
+        super().on_fit_start()
+        for domain, role in self.policy.roles.items():
+            self.policy.pace.fit(self.usual_change(domain), role)
+        proxy_tasks = self.trainer.datamodule.proxy_tasks  # type: ignore[attr-defined]
+        self.shared.copy_(torch.tensor([float(task in proxy_tasks) for task in self.policy.tasks]))
+
+    def on_train_epoch_start(self) -> None:
+        """Slow down, once it is time to."""
+        epochs = self.trainer.max_epochs or self.epochs
+        share = slowed(self.current_epoch, epochs, self.slowdown)
+        for group, rate in zip(self.trainer.optimizers[0].param_groups, (self.lr, self.discriminator_lr), strict=True):
+            group["lr"] = rate * share
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """All terms, each the sum of both directions."""
+        steps, trips = self._travel(batch)
+        return self._total(self._consistency(steps, trips)) | self._total(self._contest(steps, trips))
+
+    def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
+        """The terms that can be compared between epochs, since no discriminator has a say in them."""
+        return self._total(self._consistency(*self._travel(batch)))
+
+    def _travel(self, batch: Batch) -> tuple[dict[Role, StatePairs], dict[Role, RoundTrip]]:
+        steps = {self.policy.roles[domain]: self._steps_of(found, domain) for domain, found in batch.steps.items()}
+        return steps, {role: self._round_trip(found.states, role) for role, found in steps.items()}
+
+    def _steps_of(self, steps: Steps, domain: str) -> StatePairs:
+        shared = self.shared[steps.task]
+        states = torch.stack(self.before_and_after(domain, steps))
+        return StatePairs(states, steps.task, shared, shared * ~course_of(steps).last)
+
+    def _round_trip(self, states: Tensor, role: Role) -> RoundTrip:
+        there = self.policy.translator(states, role)
+        back = self.policy.translator(there.state[0], OTHER[role])
+        return RoundTrip(there.latent[0], there.state, back.latent, back.state)
+
+    def _total(self, directions: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
+        both = [*directions]
+        return {name: self.weights[name] * torch.stack([terms[name] for terms in both]).sum() for name in both[0]}
+
+    def _consistency(
+        self, steps: Mapping[Role, StatePairs], trips: Mapping[Role, RoundTrip]
+    ) -> Iterator[dict[str, Tensor]]:
+        """Terms that hold for each domain by itself."""
+        for role, trip in trips.items():
+            yield {
+                "cycle": cycle(steps[role].states[0], trip.home),
+                "latent": cycle(trip.latent, trip.latent_abroad),
+                "position": self._position_gap(steps[role], trip, role),
+            }
+
+    def _contest(
+        self, steps: Mapping[Role, StatePairs], trips: Mapping[Role, RoundTrip]
+    ) -> Iterator[dict[str, Tensor]]:
+        """What the translator and the discriminators lose, in each domain that is translated into."""
+        for role, trip in trips.items():
+            own, real = steps[role], steps[OTHER[role]]
+            judge, made = self._judge(OTHER[role]), self.policy.pace(*trip.abroad, OTHER[role])
+            found = self._blur(self.policy.pace(*real.states, OTHER[role])).requires_grad_()
+            real_judged = judge(found, real.task)[:, 0]
+            made_judged = judge(self._blur(made.detach()), own.task)[:, 0]
+            yield {
+                "adversarial": translation_generator_loss(
+                    with_frozen_parameters(judge)(self._blur(made), own.task)[:, 0], own.moves
+                ),
+                "discriminator": translation_discriminator_loss(real_judged, made_judged, real.moves, own.moves),
+                "penalty": r1_penalty(real_judged, found, real.moves),
+            }
+
+    def _blur(self, pairs: Tensor) -> Tensor:
+        """Instance noise: "Amortised MAP Inference for Image Super-resolution" (https://arxiv.org/abs/1610.04490)."""
+        return pairs + self.noise * torch.randn_like(pairs)
+
+    def _judge(self, role: Role) -> TaskNetwork:
+        judge = self.discriminators[role]
+        assert isinstance(judge, TaskNetwork)
+        return judge
+
+    def _position_gap(self, own: StatePairs, trip: RoundTrip, role: Role) -> Tensor:
+        here = self.policy.position(own.states[0], own.task, role).detach()
+        return position_gap(here, self.policy.position(trip.abroad[0], own.task, OTHER[role]), own.shared)
+
+
+def slowed(epoch: int, epochs: int, slowdown: float) -> float:
+    """Share of the learning rate in an epoch: 1 at first, then falling in a line that meets 0 after the last epoch.
+
+    See "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
+    (https://arxiv.org/abs/1703.10593), appendix on training details, where ``slowdown`` is 1/2.
+
+    Args:
+        epoch: From 0 on.
+        epochs: How many there are.
+        slowdown: Share of them that the fall takes.
+
+    Example:
+        >>> [slowed(epoch, 4, 0.5) for epoch in range(4)]
+        [1.0, 1.0, 1.0, 0.5]
+    """
+    return min(1.0, (epochs - epoch) / (slowdown * epochs)) if slowdown > 0 else 1.0

@@ -1,0 +1,220 @@
+"""CDIL step by step: temporal positions, inverse dynamics and, at the end, cloning; the translation is in between."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from datamodules.types import Batch, BatchSpec, Steps
+from plp_lightning.losses.weighted_mean import weighted_mean
+from plp_lightning.methods.cdil.networks import Role
+from plp_lightning.methods.cdil.policy import CdilPolicy
+from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
+from plp_lightning.methods.translation.perception import PointReconstruction
+
+
+class CdilPhase(Phase[CdilPolicy]):
+    """What the phases of CDIL share: parts of the policy that are frozen by name, and held-out losses of their own."""
+
+    trains = CdilPolicy
+    parts_trained: tuple[str, ...] = ()
+    """Names of the policy's parts that this phase trains."""
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """All parts of the policy but those that are trained here."""
+        return {name: part for name, part in self.policy.named_children() if name not in self.parts_trained}
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """What is minimised, by name, weights applied."""
+        raise NotImplementedError
+
+    def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
+        """What tells how good the phase's result is, by name; nothing if the batch says nothing about it."""
+        return self.losses(batch)
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Sum of the losses."""
+        parts = self.losses(batch)
+        total = torch.stack([*parts.values()]).sum()
+        if self.logs_now:
+            self.log_parts(parts | {"loss": total}, _size(batch))
+        return total
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Losses on held-out trajectories; ``val/bc``, by which the best checkpoint is told, is their sum."""
+        parts = self.held_out_losses(batch)
+        total = {"bc": torch.stack([*parts.values()]).sum()} if parts else {}
+        for name, value in (parts | total).items():
+            self.log(f"val/{name}", value, batch_size=_size(batch), on_epoch=True)
+
+    def by_role(self, batch: Batch) -> dict[Role, Steps]:
+        """A batch's steps, by what their domain is here."""
+        return {self.policy.roles[domain]: steps for domain, steps in batch.steps.items()}
+
+
+class CdilPositions(CdilPhase):
+    """Temporal position models: which share of its trajectory lies behind a state (CDIL's first step).
+
+    ``P_d(s, k)`` is regressed to t / T by squared error, for proxy tasks in either domain. Since many tasks pass
+    through the same state, the models see the task; whether the authors' do could not be read. Feature points of
+    images are learnt beside them, by drawing the images again, and get no gradient from them.
+
+    Args:
+        policy: The policy to train.
+        reconstruction_hidden: Units of the image decoders' hidden layer.
+        epochs: Passes over the proxy data.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+    """
+
+    batch_spec = BatchSpec(course=True)
+    parts_trained = ("positions", "perception")
+
+    def __init__(
+        self,
+        policy: CdilPolicy,
+        reconstruction_hidden: int = 256,
+        epochs: int = 10,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay)
+        self.redrawing = PointReconstruction(policy.perception, reconstruction_hidden)
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """All parts of the policy but those that are trained here; of perception, the scaling."""
+        return super().frozen | {"scaler": self.policy.perception.scaler}
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """Squared error of positions, mean over the steps of both domains, and of images where there are cameras."""
+        steps = batch.steps
+        states = {domain: self.policy.features(domain, found.observation) for domain, found in steps.items()}
+        errors = [self._errors(found, states[domain].detach(), domain) for domain, found in steps.items()]
+        return {"position": torch.cat(errors).mean()} | self.redrawing.losses(states, steps)
+
+    def _errors(self, steps: Steps, state: Tensor, domain: str) -> Tensor:
+        position = self.policy.position(state, steps.task, self.policy.roles[domain])
+        return (position - course_of(steps).progress).square()
+
+
+class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
+    """Inverse dynamics of the target domain: which action leads from a state to the next (CDIL's third step).
+
+    ``I(s, s')`` is regressed to the expert's action by squared error, on proxy tasks in the target domain.
+
+    Args:
+        policy: The policy to train.
+        epochs: Passes over the proxy data, of both domains as batches have it; the source's go unused.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+    """
+
+    batch_spec = BatchSpec(images=False, course=True)
+    parts_trained = ("inverse_dynamics",)
+
+    def __init__(self, policy: CdilPolicy, epochs: int = 10, lr: float = 5e-4, weight_decay: float = 0.0) -> None:
+        super().__init__(policy, epochs, lr, weight_decay)
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """Squared error of the target's actions; the last step of a trajectory shows no result of its action."""
+        steps = batch.steps[self.policy.target]
+        inferred = self.policy.infer(*self.before_and_after(self.policy.target, steps))
+        error = (inferred - steps.action).square().mean(-1)
+        return {"inverse_dynamics": weighted_mean(error, (~course_of(steps).last).float())}
+
+    def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
+        """The same, where there are steps of the target domain."""
+        return self.losses(batch) if self.policy.target in batch.steps else {}
+
+
+class Imagined(NamedTuple):
+    """What the source's trajectories would be in the target domain."""
+
+    state: Tensor
+    """Target states ``(N, O_y)``."""
+    action: Tensor
+    """``(N, A_y)``, as the inverse dynamics tell them."""
+    weight: Tensor
+    """``(N,)``: 1 for steps of the target task that another step follows, 0 for all others."""
+
+
+class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
+    """Cloning of the target task's demonstrations as they would be in the target domain (CDIL's last step).
+
+    The source's trajectories are translated by Φ and labelled with actions by the inverse dynamics once, when the
+    phase begins. The clone of the target domain, which is told the task, learns from those of the target task, and
+    from the target domain's own demonstrations of proxy tasks that the experiment mixes in (``data.mix``; 0 is a
+    policy for the target task alone). The source's clone learns from the source's own actions, for comparison.
+
+    Args:
+        policy: The policy with everything else trained.
+        epochs: Passes over the target task's data and its mix.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+    """
+
+    batch_spec = BatchSpec("mix", images=False)
+    parts_trained = ("clones",)
+
+    def __init__(self, policy: CdilPolicy, epochs: int = 50, lr: float = 5e-4, weight_decay: float = 0.0) -> None:
+        super().__init__(policy, epochs, lr, weight_decay)
+        self.imagined: Imagined | None = None
+
+    def on_fit_start(self) -> None:
+        """Perceive every step, and translate and label the source's trajectories."""
+        super().on_fit_start()
+        self.imagined = self._imagine()
+
+    def on_validation_start(self) -> None:
+        """The same, if there was no training before."""
+        super().on_validation_start()
+        self.imagined = self.imagined or self._imagine()
+
+    @torch.no_grad()
+    def _imagine(self) -> Imagined:
+        data, policy = self.trainer.datamodule, self.policy  # type: ignore[attr-defined]
+        dataset = data.datasets[policy.source].without_images()
+        steps = dataset.take(torch.arange(len(dataset)), course=True)
+        now, following = (policy.translate(state) for state in self.before_and_after(policy.source, steps))
+        wanted = torch.isin(steps.task, torch.tensor([policy.tasks[task] for task in data.target_tasks]))
+        weight = (wanted & ~course_of(steps).last).float().to(self.device)
+        return Imagined(now, policy.infer(now, following), weight)
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """Squared errors of the clones' actions, mean over action dimensions and steps."""
+        found, steps = {}, self.by_role(batch)
+        assert self.imagined is not None, "the source's trajectories are translated before the first batch"
+        if "source" in steps:
+            state = self.states[self.policy.source][steps["source"].row]
+            clone = self.policy.clone(state, steps["source"].task, "source")
+            found["bc_source"] = functional.mse_loss(clone, steps["source"].action)
+        state, action, task, weight = self._lessons(steps, self.imagined)
+        error = (self.policy.clone(state, task, "target") - action).square().mean(-1)
+        return {"bc_target": weighted_mean(error, weight), **found}
+
+    def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
+        """That of the method's result: the target's clone, on imagined demonstrations of the target task."""
+        return {"bc_target": self.losses(batch)["bc_target"]}
+
+    def _lessons(self, steps: dict[Role, Steps], imagined: Imagined) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """States, actions, tasks and weights of what the target's clone learns from in this batch."""
+        parts = []
+        if "source" in steps:
+            row = steps["source"].row
+            parts.append((imagined.state[row], imagined.action[row], steps["source"].task, imagined.weight[row]))
+        if "target" in steps:
+            own = steps["target"]
+            state = self.states[self.policy.target][own.row]
+            parts.append((state, own.action, own.task, torch.ones_like(state[:, 0])))
+        state, action, task, weight = (torch.cat(column) for column in zip(*parts, strict=True))
+        return state, action, task, weight
+
+
+def _size(batch: Batch) -> int:
+    return sum(len(steps.action) for steps in batch.steps.values())

@@ -1,0 +1,105 @@
+"""CDIL: translated demonstrations, labelled with actions and cloned ("Cross-domain Imitation from Observations")."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+
+from datamodules.batches.normalization import Scaling
+from datamodules.problem import TransferProblem
+from plp_lightning.methods.cdil.networks import Pace, Role, TaskNetwork, Translator
+from plp_lightning.methods.policy import Observations, Parts
+from plp_lightning.methods.translation.policy import TranslatingPolicy
+from plp_lightning.networks import mlp
+
+
+class CdilPolicy(TranslatingPolicy):
+    """Everything that CDIL learns between source x and target y; the actions are those of a clone in each domain.
+
+    The clone of the target domain is the method's result. That of the source domain learns from the source's own
+    actions, which the method does not use; it only shows what the demonstrations are worth where they come from.
+    States are scaled; where a domain has a camera, feature points of its images are part of them.
+
+    Args:
+        problem: Domains and tasks; exactly two domains.
+        latent: Z, size of the latent space that the translation passes through.
+        hidden: Units in every hidden layer.
+        encoder_layers: Hidden layers of the translation's encoders.
+        policy_layers: Hidden layers of position models, inverse dynamics and clones.
+        decoder_layers: Hidden layers of the translation's decoders.
+        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        clip: Bound of z-scored inputs, in deviations.
+        image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
+            the policy is blind: it leaves images aside.
+
+    Raises:
+        ConfigError: If there are not two domains, or a size is wrong.
+    """
+
+    def __init__(
+        self,
+        problem: TransferProblem,
+        latent: int = 192,
+        hidden: int = 192,
+        encoder_layers: int = 3,
+        policy_layers: int = 3,
+        decoder_layers: int = 3,
+        scaling: dict[str, Scaling] | None = None,
+        clip: float = 5.0,
+        image_channels: Sequence[int] = (32, 32, 16),
+    ) -> None:
+        architecture = {
+            "latent": latent,
+            "hidden": hidden,
+            "encoder_layers": encoder_layers,
+            "policy_layers": policy_layers,
+            "decoder_layers": decoder_layers,
+            "scaling": scaling,
+            "clip": clip,
+            "image_channels": list(image_channels),
+        }
+        super().__init__(problem, architecture, scaling, clip, image_channels)
+        self.roles: dict[str, Role] = {self.source: "source", self.target: "target"}
+        sizes = {role: self.perception.sizes[domain] for domain, role in self.roles.items()}
+        actions = {role: self.domains[domain].action_size for domain, role in self.roles.items()}
+        tasks = len(problem.tasks)
+        self.pace = Pace(sizes)
+        self.positions = nn.ModuleDict(
+            {role: TaskNetwork(size, tasks, 1, hidden, policy_layers) for role, size in sizes.items()}
+        )
+        self.translator = Translator(sizes, latent, hidden, encoder_layers, decoder_layers)
+        self.inverse_dynamics = mlp(2 * sizes["target"], hidden, policy_layers, actions["target"])
+        self.clones = nn.ModuleDict(
+            {role: TaskNetwork(size, tasks, actions[role], hidden, policy_layers) for role, size in sizes.items()}
+        )
+
+    def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
+        """The clones' actions."""
+        states = {domain: self.features(domain, seen) for domain, seen in observation.items()}
+        return {domain: self.clone(state, task[domain], self.roles[domain]) for domain, state in states.items()}
+
+    def encode(self, observation: Observations) -> dict[str, Tensor]:
+        """States of the target domain ``(B_d, O_y)``: its own, and those that Φ makes of the source's."""
+        states = {domain: self.features(domain, seen) for domain, seen in observation.items()}
+        return {d: self.translate(s) if self.roles[d] == "source" else s for d, s in states.items()}
+
+    def translate(self, state: Tensor) -> Tensor:
+        """Φ: source states ``(B, O_x)`` → target states ``(B, O_y)``."""
+        translated: Tensor = self.translator(state, "source").state
+        return translated
+
+    def clone(self, state: Tensor, task: Tensor, role: Role) -> Tensor:
+        """π: states ``(B, O)`` and tasks ``(B,)`` → actions ``(B, A)``."""
+        action: Tensor = self.clones[role](state, task)
+        return action.tanh()
+
+    def position(self, state: Tensor, task: Tensor, role: Role) -> Tensor:
+        """P: states ``(B, O)`` and tasks ``(B,)`` → share of the trajectory that lies behind, ``(B,)``."""
+        position: Tensor = self.positions[role](state, task)
+        return position.squeeze(-1).sigmoid()
+
+    def infer(self, now: Tensor, following: Tensor) -> Tensor:
+        """I: two target states ``(B, O_y)``, one after the other → the action in between, ``(B, A_y)``."""
+        action: Tensor = self.inverse_dynamics(self.pace(now, following, "target"))
+        return action.tanh()

@@ -1,0 +1,81 @@
+"""Training of the contextual policy: a demonstration of each domain, both of one task (paper, appendix)."""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from datamodules.transfer import TransferDataModule
+from datamodules.types import Batch, BatchSpec
+from plp_lightning.losses import behavioural_cloning
+from plp_lightning.methods.contextual.policy import ContextualPolicy, first_frames, last_frames
+from plp_lightning.methods.phase import Phase, Schedule
+
+
+class ContextualCloning(Phase[ContextualPolicy]):
+    """Behavioural cloning of target-domain trajectories, each beside a source-domain trajectory of its task.
+
+    The policy imitates all steps of a trajectory at once; which of the source domain's demonstrations of the task
+    stands beside it is drawn anew for each batch. Only proxy tasks are trained on. Before training begins, one
+    training demonstration of each task, the target task's included, is put aside in the policy: it is what the
+    policy is shown when it acts. There is no adaptation: that would take demonstrations of both domains.
+
+    Args:
+        policy: The policy to train.
+        epochs: Passes over as many pairs as the target domain has trajectories.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: ``constant``, or down to 0 along half a ``cosine``.
+    """
+
+    trains = ContextualPolicy
+
+    def __init__(
+        self,
+        policy: ContextualPolicy,
+        epochs: int = 500,
+        lr: float = 1e-3,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.batch_spec = BatchSpec("none", pairs="whole", images=policy.sees)
+
+    def on_fit_start(self) -> None:
+        """Put a demonstration of each task aside."""
+        data: TransferDataModule = self.trainer.datamodule  # type: ignore[attr-defined]
+        self.policy.prompts.choose(data.datasets[data.source_domain], prompt_episodes(data))
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Behavioural cloning of all steps of a batch of pairs."""
+        loss, frames = self._loss(batch)
+        if self.logs_now:
+            self.log_parts({"bc": loss}, frames)
+        return loss
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """The same on held-out trajectories of the target domain."""
+        loss, frames = self._loss(batch)
+        for name in ("val/bc", f"val/bc_{self.policy.target.name}"):
+            self.log(name, loss, batch_size=frames, on_epoch=True)
+
+    def _loss(self, batch: Batch) -> tuple[Tensor, int]:
+        """Mean over all steps, and how many there are."""
+        domain, most = self.policy.target.name, self.policy.max_length
+        shown = last_frames(batch.pairs[self.policy.source.name], most)
+        episodes = first_frames(batch.pairs[domain], most)
+        action = self.policy(shown, episodes)
+        return behavioural_cloning({domain: action}, {domain: episodes.action}), len(action)
+
+
+def prompt_episodes(data: TransferDataModule) -> dict[int, int]:
+    """By task index, the training demonstration of the source domain that stands for the task: of median length."""
+    length = np.diff(data.datasets[data.source_domain].offset)
+    found = {
+        task: data.episodes(data.source_domain, [task], "train") for task in (*data.proxy_tasks, *data.target_tasks)
+    }
+    return {
+        data.tasks.index(task): int(ids[np.argsort(length[ids], kind="stable")[len(ids) // 2]])
+        for task, ids in found.items()
+        if len(ids)
+    }

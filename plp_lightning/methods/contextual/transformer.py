@@ -1,0 +1,266 @@
+"""Transformer: an encoder that reads sequences, and a causal decoder that also goes on step by step.
+
+"Attention Is All You Need" (https://arxiv.org/abs/1706.03762), with normalisation before each sublayer ("On Layer
+Normalization in the Transformer Architecture", https://arxiv.org/abs/2002.04745) and GELU. Dropout is where the
+first of these has it (Section 5.4): on what each sublayer gives, not on the attention weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from plp_lightning.methods.contextual.packing import Packing
+
+FIRST_ROOM = 64
+"""Steps that a cache has room for when it begins; the room doubles whenever it is full."""
+
+
+class Attention(nn.Module):
+    """Multi-head scaled dot-product attention (Section 3.2 of the paper above).
+
+    Args:
+        width: W, units; a multiple of ``heads``.
+        heads: H.
+    """
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
+        self.output = nn.Linear(width, width)
+
+    def forward(self, x: Tensor, packing: Packing, memory: Tensor, mask: Tensor | None) -> Tensor:
+        """What frames find in a memory: ``(F, W)`` → ``(F, W)``.
+
+        Args:
+            x: ``(F, W)``.
+            packing: Of these frames, in P sequences.
+            memory: Of as many sequences, see :meth:`remember`.
+            mask: ``(P, 1, 1, S)`` bool: what of the memory there is to look at. Without one, a frame looks at no
+                frame behind its own, which takes the memory to be of the same sequences.
+        """
+        found = self.look(packing.pad(self.query(x)), memory, mask, causal=mask is None)
+        added: Tensor = self.output(packing.pack(found))
+        return added
+
+    def remember(self, x: Tensor, packing: Packing) -> Tensor:
+        """Keys and values ``(2, P, H, T, W / H)`` of frames ``(F, W)``."""
+        return self._split(packing.pad(self.key_value(x)))
+
+    def look(self, query: Tensor, memory: Tensor, mask: Tensor | None = None, causal: bool = False) -> Tensor:
+        """What queries ``(P, T, W)`` find in a memory ``(2, P, H, S, W / H)``, as ``(P, T, W)``."""
+        heads = query.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        found = F.scaled_dot_product_attention(heads, memory[0], memory[1], mask, is_causal=causal)
+        return found.transpose(1, 2).flatten(-2)
+
+    def step(self, x: Tensor, past: Past) -> Tensor:
+        """What the next frame ``(P, W)`` of each sequence finds in those before it and itself, as ``(P, W)``."""
+        memory = past.append(self._split(self.key_value(x)[:, None]))
+        return self.recall(x, memory, None)
+
+    def recall(self, x: Tensor, memory: Tensor, mask: Tensor | None) -> Tensor:
+        """What one frame ``(P, W)`` of each sequence finds in a memory, as ``(P, W)``."""
+        found: Tensor = self.output(self.look(self.query(x)[:, None], memory, mask)[:, 0])
+        return found
+
+    def _split(self, key_value: Tensor) -> Tensor:
+        """``(P, T, 2 W)`` → ``(2, P, H, T, W / H)``."""
+        heads: Tensor = key_value.unflatten(-1, (2, self.heads, -1))
+        return heads.permute(2, 0, 3, 1, 4)
+
+
+class Past:
+    """Keys and values of all steps so far, in one layer, with room for more."""
+
+    def __init__(self) -> None:
+        self.store: Tensor | None = None
+        self.steps = 0
+
+    def append(self, memory: Tensor) -> Tensor:
+        """Keep a step's ``(2, P, H, 1, W / H)``; those of all steps so far, ``(2, P, H, T, W / H)``."""
+        if self.store is None:
+            self.store = memory[:, :, :, :0]
+        if self.steps == self.store.shape[3]:
+            self.store = F.pad(self.store, (0, 0, 0, max(FIRST_ROOM, self.steps)))
+        self.store[:, :, :, self.steps] = memory[:, :, :, 0]
+        self.steps += 1
+        return self.store[:, :, :, : self.steps]
+
+    def take(self, rows: Tensor) -> None:
+        """Go on with the sequences ``rows`` alone."""
+        if self.store is not None:
+            self.store = self.store[:, rows]
+
+
+class Cache:
+    """What a decoder keeps of sequences that go on step by step: what they were shown, and their past.
+
+    Args:
+        shown: Of each layer, keys and values ``(2, P, H, S, W / H)`` of what sequence p was shown.
+        mask: ``(P, 1, 1, S)`` bool, of what was shown.
+    """
+
+    def __init__(self, shown: Sequence[Tensor], mask: Tensor) -> None:
+        self.shown, self.mask = list(shown), mask
+        self.past = [Past() for _ in shown]
+
+    @property
+    def steps(self) -> int:
+        """Steps so far."""
+        return self.past[0].steps
+
+    def take(self, rows: Tensor) -> None:
+        """Go on with the sequences ``rows`` alone, an index array that may also repeat some."""
+        self.shown, self.mask = [memory[:, rows] for memory in self.shown], self.mask[rows]
+        for past in self.past:
+            past.take(rows)
+
+
+class FeedForward(nn.Sequential):
+    """Two linear layers with GELU between them, for each frame alone.
+
+    Args:
+        width: W, units of a frame.
+        hidden: Units between the layers.
+    """
+
+    def __init__(self, width: int, hidden: int) -> None:
+        super().__init__(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, width))
+
+
+class EncoderLayer(nn.Module):
+    """Self-attention over whole sequences, then a feed-forward network.
+
+    Args:
+        width: W, units of a frame.
+        heads: Attention heads.
+        hidden: Units of the feed-forward network.
+        dropout: Share of the units of each sublayer that training leaves out.
+    """
+
+    def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
+        super().__init__()
+        self.attention, self.feed_forward = Attention(width, heads), FeedForward(width, hidden)
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(2))
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, x: Tensor, packing: Packing) -> Tensor:
+        """``(F, W)`` → ``(F, W)``."""
+        seen = self.norms[0](x)
+        memory = self.attention.remember(seen, packing)
+        x = x + self.dropout(self.attention(seen, packing, memory, packing.mask[:, None, None]))
+        added: Tensor = x + self.dropout(self.feed_forward(self.norms[1](x)))
+        return added
+
+
+class DecoderLayer(nn.Module):
+    """Self-attention over the past, attention over what was shown, then a feed-forward network.
+
+    Args:
+        width: W, units of a frame.
+        heads: Attention heads.
+        hidden: Units of the feed-forward network.
+        dropout: Share of the units of each sublayer that training leaves out.
+    """
+
+    def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
+        super().__init__()
+        self.past_attention, self.shown_attention = Attention(width, heads), Attention(width, heads)
+        self.feed_forward = FeedForward(width, hidden)
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(3))
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, x: Tensor, packing: Packing, shown: Tensor, mask: Tensor) -> Tensor:
+        """``(F, W)`` → ``(F, W)``, in all steps at once."""
+        seen = self.norms[0](x)
+        x = x + self.dropout(self.past_attention(seen, packing, self.past_attention.remember(seen, packing), None))
+        x = x + self.dropout(self.shown_attention(self.norms[1](x), packing, shown, mask))
+        added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
+        return added
+
+    def step(self, x: Tensor, past: Past, shown: Tensor, mask: Tensor) -> Tensor:
+        """The same for the next frame ``(P, W)`` of each sequence."""
+        x = x + self.dropout(self.past_attention.step(self.norms[0](x), past))
+        x = x + self.dropout(self.shown_attention.recall(self.norms[1](x), shown, mask))
+        added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
+        return added
+
+
+class TransformerEncoder(nn.Module):
+    """Reads whole sequences.
+
+    Args:
+        width: W, units of a frame.
+        heads: Attention heads of each layer.
+        layers: How many.
+        hidden: Units of each feed-forward network.
+        dropout: Share of the units of each sublayer that training leaves out.
+    """
+
+    def __init__(self, width: int, heads: int, layers: int, hidden: int, dropout: float) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(EncoderLayer(width, heads, hidden, dropout) for _ in range(layers))
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, x: Tensor, packing: Packing) -> Tensor:
+        """``(F, W)`` → ``(F, W)``."""
+        for layer in self.layers:
+            x = layer(x, packing)
+        normal: Tensor = self.norm(x)
+        return normal
+
+
+class TransformerDecoder(nn.Module):
+    """Goes through sequences that look back at themselves, and at others that were shown to them.
+
+    Args:
+        width: W, units of a frame.
+        heads: Attention heads of each layer.
+        layers: How many.
+        hidden: Units of each feed-forward network.
+        dropout: Share of the units of each sublayer that training leaves out.
+    """
+
+    def __init__(self, width: int, heads: int, layers: int, hidden: int, dropout: float) -> None:
+        super().__init__()
+        stack = nn.ModuleList(DecoderLayer(width, heads, hidden, dropout) for _ in range(layers))
+        # torch's own type of a list of modules does not say which.
+        self.layers = cast("Sequence[DecoderLayer]", stack)
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, x: Tensor, packing: Packing, shown: Tensor, shown_packing: Packing) -> Tensor:
+        """All steps at once: ``(F, W)`` → ``(F, W)``.
+
+        Args:
+            x: ``(F, W)``.
+            packing: Of these frames, in P sequences.
+            shown: ``(S, W)``, the encoder's frames of what was shown.
+            shown_packing: Of those, in P sequences too: sequence p was shown the p-th of them.
+        """
+        cache = self.begin(shown, shown_packing)
+        for layer, memory in zip(self.layers, cache.shown, strict=True):
+            x = layer(x, packing, memory, cache.mask)
+        normal: Tensor = self.norm(x)
+        return normal
+
+    def begin(self, shown: Tensor, packing: Packing) -> Cache:
+        """A cache for sequences that begin now.
+
+        Args:
+            shown: ``(S, W)``, the encoder's frames of what was shown to them.
+            packing: Of those, a sequence for each that begins.
+        """
+        memories = [layer.shown_attention.remember(shown, packing) for layer in self.layers]
+        return Cache(memories, packing.mask[:, None, None])
+
+    def step(self, x: Tensor, cache: Cache) -> Tensor:
+        """The next frame ``(P, W)`` of each of the cache's sequences → ``(P, W)``, as :meth:`forward` has it there."""
+        for layer, past, memory in zip(self.layers, cache.past, cache.shown, strict=True):
+            x = layer.step(x, past, memory, cache.mask)
+        normal: Tensor = self.norm(x)
+        return normal

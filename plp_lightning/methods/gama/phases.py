@@ -1,0 +1,246 @@
+"""GAMA's phases: what can be learnt without the other domain, then the maps between them, then the new task."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.types import Batch, BatchSpec, Steps
+from plp_lightning.losses import behavioural_cloning
+from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.methods.gama.losses import (
+    normalised_prediction_error,
+    transition_discriminator_loss,
+    transition_generator_loss,
+)
+from plp_lightning.methods.gama.networks import TransitionDiscriminator
+from plp_lightning.methods.gama.policy import GamaPolicy
+from plp_lightning.methods.phase import Phase, Schedule, loss_weights
+from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
+from plp_lightning.methods.translation.perception import PointReconstruction
+from plp_lightning.networks import with_frozen_parameters
+
+
+class GamaPretraining(Phase[GamaPolicy]):
+    """Source policy by behavioural cloning, target dynamics, and feature points of images by reconstruction.
+
+    None of the three sends a gradient into another: feature points are learnt as if alone, by a spatial autoencoder
+    for each domain with a camera, whose decoder is of no use afterwards.
+
+    Args:
+        policy: The policy to train.
+        reconstruction_hidden: Units of the image decoder's hidden layer.
+        epochs: Passes over the proxy data, counted in samples of both domains together.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate.
+    """
+
+    trains = GamaPolicy
+    batch_spec = BatchSpec(course=True)
+
+    def __init__(
+        self,
+        policy: GamaPolicy,
+        reconstruction_hidden: int = 256,
+        epochs: int = 20,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.redrawing = PointReconstruction(policy.perception, reconstruction_hidden)
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """Both maps, which need the other domain."""
+        policy = self.policy
+        return {"scaler": policy.perception.scaler, "state_map": policy.state_map, "action_map": policy.action_map}
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Sum of losses that share no parameter."""
+        policy, steps = self.policy, batch.steps
+        state = {domain: policy.features(domain, s.observation) for domain, s in steps.items()}
+        parts = self._losses({domain: seen.detach() for domain, seen in state.items()}, steps)
+        parts |= self.redrawing.losses(state, steps)
+        if self.logs_now:
+            self.log_parts(parts, sum(len(s.action) for s in steps.values()))
+        return torch.stack([*parts.values()]).sum()
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Held-out loss of the source policy as ``val/bc``, of the dynamics as ``val/dynamics``."""
+        state = {domain: self.policy.features(domain, s.observation) for domain, s in batch.steps.items()}
+        for name, loss in self._losses(state, batch.steps).items():
+            self.log(f"val/{name}", loss, batch_size=sum(len(seen) for seen in state.values()), on_epoch=True)
+
+    def _losses(self, state: Mapping[str, Tensor], steps: Mapping[str, Steps]) -> dict[str, Tensor]:
+        """Of the source policy and of the dynamics, as far as there are steps of their domains."""
+        policy, parts = self.policy, {}
+        if policy.source in steps:
+            taken = steps[policy.source]
+            action = policy.imitate(state[policy.source], taken.task)
+            parts["bc"] = behavioural_cloning({policy.source: action}, {policy.source: taken.action})
+        if policy.target in steps:
+            taken, seen = steps[policy.target], state[policy.target]
+            course = course_of(taken)
+            with torch.no_grad():
+                following = policy.features(policy.target, course.following)
+            foreseen = policy.dynamics(seen, taken.action)
+            parts["dynamics"] = normalised_prediction_error(foreseen, seen, following, course.last)
+        return parts
+
+
+class GamaPhase(CachedFeatures[GamaPolicy]):
+    """A phase after pretraining: states are known, and so are the actions that the policy takes in them."""
+
+    trains = GamaPolicy
+
+    def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
+        """The policy's actions, from the states that are known already."""
+        state = {domain: self.states[domain][s.row] for domain, s in steps.items()}
+        return self.policy.control(state, {domain: s.task for domain, s in steps.items()})
+
+
+class GamaAlignment(GamaPhase):
+    """State map and action map, by imitation in the target domain and by transitions that pass for the source's.
+
+    ``E ‖g(π_x(f(s_y), k)) - a_y‖² + λ E[-log D(ŝ, â, ŝ', k)]`` with ŝ = f(s_y), â = π_x(ŝ, k) and
+    ŝ' = f(P(s_y, g(â))). The source policy is frozen, the dynamics go on learning from demonstrations alone. The
+    discriminator D learns along; each loss reaches its own player only, so one optimiser step serves all.
+
+    Args:
+        policy: The policy to train, its source policy and dynamics trained before.
+        adversarial_weight: λ.
+        penalty_weight: γ of the penalty on the discriminator's slope, so that it can't become certain.
+        discriminator_layers: Hidden layers of the discriminator.
+        discriminator_hidden: Units in its hidden layers.
+        discriminator_lr: Learning rate of the discriminator.
+        dynamics_lr: Learning rate of the dynamics.
+        epochs: Passes over the proxy data, counted in samples of both domains together.
+        lr: Learning rate of both maps.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of all learning rates.
+
+    Raises:
+        ConfigError: If a weight is below 0.
+    """
+
+    batch_spec = BatchSpec(images=False, course=True)
+
+    def __init__(
+        self,
+        policy: GamaPolicy,
+        adversarial_weight: float = 0.5,
+        penalty_weight: float = 1.0,
+        discriminator_layers: int = 2,
+        discriminator_hidden: int = 192,
+        discriminator_lr: float = 1e-4,
+        dynamics_lr: float = 1e-4,
+        epochs: int = 20,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.weights = loss_weights({"adversarial": adversarial_weight, "penalty": penalty_weight})
+        self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
+        states, actions = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size
+        self.discriminator = TransitionDiscriminator(
+            states, actions, policy.task_count, discriminator_hidden, discriminator_layers
+        )
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """How states are perceived, and the source policy."""
+        policy = self.policy
+        return {"perception": policy.perception, "source_policy": policy.source_policy}
+
+    def optimizer(self) -> torch.optim.Optimizer:
+        """AdamW with a learning rate for each player."""
+        policy = self.policy
+        groups: list[dict[str, Any]] = [
+            {"params": [*policy.state_map.parameters(), *policy.action_map.parameters()]},
+            {"params": [*self.discriminator.parameters()], "lr": self.discriminator_lr},
+            {"params": [*policy.dynamics.parameters()], "lr": self.dynamics_lr},
+        ]
+        return torch.optim.AdamW(groups, lr=self.lr, weight_decay=self.weight_decay, fused=True)
+
+    def on_fit_start(self) -> None:
+        """Perceive every step, and find out how much a step of the source domain changes."""
+        super().on_fit_start()
+        self.discriminator.unit.copy_(self.usual_change(self.policy.source))
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Losses of all players, from shared forward passes."""
+        policy, judge = self.policy, self.discriminator
+        here, there = batch.steps[policy.source], batch.steps[policy.target]
+        (real_state, real_next), (state, following) = (
+            self.before_and_after(policy.source, here),
+            self.before_and_after(policy.target, there),
+        )
+        moved = policy.state_map(state)
+        planned = policy.imitate(moved, there.task)
+        action = policy.translate(planned, state)
+        arrived = policy.state_map(with_frozen_parameters(policy.dynamics)(state, action))
+        real = judge.describe(real_state, here.action, real_next, here.task).requires_grad_()
+        fake = judge.describe(moved, planned, arrived, there.task)
+        judged, last, real_last = judge(real), course_of(there).last, course_of(here).last
+        parts = {
+            "bc": behavioural_cloning({policy.target: action}, {policy.target: there.action}),
+            "adversarial": transition_generator_loss(with_frozen_parameters(judge)(fake), last),
+            "discriminator": transition_discriminator_loss(judged, judge(fake.detach()), real_last, last),
+            "penalty": r1_penalty(judged, real, ~real_last),
+            "dynamics": normalised_prediction_error(policy.dynamics(state, there.action), state, following, last),
+        }
+        if self.logs_now:
+            self.log_parts(parts, len(state) + len(real_state))
+        return torch.stack([self.weights.get(name, 1.0) * loss for name, loss in parts.items()]).sum()
+
+
+class GamaAdaptation(GamaPhase):
+    """Behavioural cloning of the target task by the source policy, in the source domain alone; all else is frozen.
+
+    Args:
+        policy: The policy with trained maps.
+        epochs: Passes over the target task's data and its mix.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate.
+        target_mix: Whether mixed-in proxy steps of the target domain train the source policy too, through the maps.
+    """
+
+    batch_spec = BatchSpec("mix", images=False)
+
+    def __init__(
+        self,
+        policy: GamaPolicy,
+        epochs: int = 50,
+        lr: float = 5e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+        target_mix: bool = False,
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.learns_from = {policy.source, policy.target} if target_mix else {policy.source}
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """Everything but the source policy."""
+        return {name: part for name, part in self.policy.named_children() if name != "source_policy"}
+
+    def trained_parameters(self) -> Iterable[nn.Parameter]:
+        """The source policy's."""
+        return self.policy.source_policy.parameters()
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Behavioural cloning on the target task and the mixed-in alignment data."""
+        steps = {domain: s for domain, s in batch.steps.items() if domain in self.learns_from}
+        if not steps:  # by chance, the last batch of an epoch may hold nothing else
+            return torch.stack([parameter.sum() for parameter in self.trained_parameters()]).sum() * 0
+        loss = behavioural_cloning(self.predict(steps), {domain: s.action for domain, s in steps.items()})
+        if self.logs_now:
+            self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
+        return loss

@@ -1,0 +1,193 @@
+"""STATE ENCODER → COMMON POLICY → ACTION DECODER: the paper's figure in one screen.
+
+Domains of any number and size share one network: states and actions are padded to one length, here and nowhere
+else, and a one-hot domain id goes into the encoder and the decoder. A camera's image becomes a vector that joins
+the state; a domain without a camera has zeros there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple, get_args
+
+import torch
+from torch import Tensor
+
+from datamodules.batches.normalization import Scaling
+from datamodules.errors import ConfigError
+from datamodules.problem import TransferProblem
+from datamodules.types import DomainSpec, Observation
+from plp_lightning.methods.plp.networks import CommonPolicy
+from plp_lightning.methods.policy import AligningPolicy, Observations, Parts
+from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoder, Sharing, StateEncoder
+from plp_lightning.networks.scaling import InputScaler
+from plp_lightning.networks.vision import encode_images, image_shape
+
+EncoderWord = Literal["all"]
+DecoderWord = Literal["none", "proprioception", "all"]
+EncoderState = EncoderWord | list[str]
+DecoderState = DecoderWord | list[str]
+
+
+class Forward(NamedTuple):
+    """What the policy makes of a batch."""
+
+    latent: dict[str, Tensor]
+    """s_z by domain, ``(B_d, Z)``."""
+    action: dict[str, Tensor]
+    """By domain, ``(B_d, A_d)``."""
+
+
+class PortablePolicy(AligningPolicy):
+    """The portable latent policy of the paper (Section 4.1): one network for all domains and tasks.
+
+    Args:
+        problem: Domains and tasks.
+        latent: Z, size of latent states and latent actions.
+        hidden: Units in every hidden layer.
+        encoder_layers: Hidden layers of the state encoder.
+        policy_layers: Hidden layers of the common policy.
+        decoder_layers: Hidden layers of the action decoder.
+        gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
+            vanishes where an untrained task's latent actions saturate it.
+        encoder_state: What the encoder sees of the state: ``all``, or the named keys, of which each domain shows those
+            that it has. Domains align more easily by what they have in common; the rest is for the decoder.
+        decoder_state: What the decoder sees beside the latent action: ``none``; ``proprioception``, which is the whole
+            state, since a state holds what a robot senses of itself; ``all``, which is the state and the image; or
+            the named keys of the state, of which each domain shows those that it has.
+        columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
+            domains whose vectors mean the same.
+        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        clip: Bound of z-scored inputs, in deviations.
+        image_channels: Of each convolution of the image encoder, which halves the image's sides; without any, the
+            policy is blind: it leaves images aside.
+        image_features: Length of the vector that an image becomes.
+
+    Raises:
+        ConfigError: If a size is wrong, or the domains' images differ in shape.
+    """
+
+    def __init__(
+        self,
+        problem: TransferProblem,
+        latent: int = 192,
+        hidden: int = 192,
+        encoder_layers: int = 3,
+        policy_layers: int = 4,
+        decoder_layers: int = 3,
+        gradient_floor: float = 0.1,
+        encoder_state: EncoderState = "all",
+        decoder_state: DecoderState = "none",
+        columns: Sharing = "own",
+        scaling: dict[str, Scaling] | None = None,
+        clip: float = 5.0,
+        image_channels: Sequence[int] = (64, 64, 128, 128, 128),
+        image_features: int = 1024,
+    ) -> None:
+        architecture = {
+            "latent": latent,
+            "hidden": hidden,
+            "encoder_layers": encoder_layers,
+            "policy_layers": policy_layers,
+            "decoder_layers": decoder_layers,
+            "gradient_floor": gradient_floor,
+            "encoder_state": encoder_state,
+            "decoder_state": decoder_state,
+            "columns": columns,
+            "scaling": scaling,
+            "clip": clip,
+            "image_channels": list(image_channels),
+            "image_features": image_features,
+        }
+        super().__init__(problem, architecture)
+        domains, tasks = problem.domains, problem.tasks
+        self.latent_size = latent
+        self.image_shape = image_shape(domains) if image_channels else None
+        self.image_features = 0 if self.image_shape is None else image_features
+        self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
+        self.state_columns = _columns("encoder_state", encoder_state, get_args(EncoderWord), domains)
+        self.context_columns = _columns("decoder_state", decoder_state, get_args(DecoderWord), domains)
+        self.states = DomainColumns({name: len(seen) for name, seen in self.state_columns.items()}, columns)
+        self.contexts = DomainColumns({name: len(seen) for name, seen in self.context_columns.items()}, columns)
+        self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
+        inputs = self.states.width + len(domains) + self.image_features
+        self.encoder = StateEncoder(inputs, latent, hidden, encoder_layers)
+        self.common = CommonPolicy(latent, len(tasks), hidden, policy_layers)
+        self.decoder_sees_images = decoder_state == "all" and self.image_shape is not None
+        context = self.contexts.width + len(domains) + (self.image_features if self.decoder_sees_images else 0)
+        self.decoder = ActionDecoder(latent, context, self.actions.width, hidden, decoder_layers, gradient_floor)
+        self.image_encoder = (
+            None if self.image_shape is None else ImageEncoder(self.image_shape, image_channels, image_features)
+        )
+
+    def encode_images(self, observation: Observations) -> Observations:
+        """Observations for both encoder and decoder: if both see images, with features ``(B_d, F)`` in their place.
+
+        So the image encoder, the costliest part, looks once. States stay as they are.
+        """
+        if self.image_encoder is None or not self.decoder_sees_images:
+            return observation
+        features = _split(encode_images(self.image_encoder, observation, self.cameras), observation)
+        return {d: obs._replace(image=features[d] if d in self.cameras else None) for d, obs in observation.items()}
+
+    def encode(self, observation: Observations) -> dict[str, Tensor]:
+        """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
+        inputs = self.states.join({d: self._pick(obs, d, self.state_columns) for d, obs in observation.items()})
+        if self.image_encoder is not None:
+            inputs = torch.cat([inputs, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
+        return _split(self.encoder(inputs), observation)
+
+    def decode(self, latent_action: Parts, observation: Observations) -> dict[str, Tensor]:
+        """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
+        context = self.contexts.join({d: self._pick(obs, d, self.context_columns) for d, obs in observation.items()})
+        if self.decoder_sees_images:
+            assert self.image_encoder is not None
+            context = torch.cat([context, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
+        joined = torch.cat([latent_action[domain] for domain in observation])
+        actions = _split(self.decoder(joined, context), observation)
+        return {domain: self.actions.take(action, domain) for domain, action in actions.items()}
+
+    def latent_action(self, latent: Parts, task: Parts) -> dict[str, Tensor]:
+        """π_z: latent actions ``(B_d, Z)`` by domain; the pass itself does not see the domain."""
+        joined = self.common(torch.cat(list(latent.values())), torch.cat([task[domain] for domain in latent]))
+        sizes = [len(part) for part in latent.values()]
+        return dict(zip(latent, joined.split(sizes), strict=True))
+
+    def forward(self, observation: Observations, task: Parts) -> Forward:
+        """ψ(π_z(φ(s, d), k), s, d) for the rows of every domain."""
+        seen = self.encode_images(observation)
+        latent = self.encode(seen)
+        return Forward(latent, self.decode(self.latent_action(latent, task), seen))
+
+    def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
+        """The actions of :meth:`forward`."""
+        return self.forward(observation, task).action
+
+    def _pick(self, observation: Observation[Tensor], domain: str, columns: Mapping[str, list[int]]) -> Tensor:
+        """The scaled state's columns for this domain; no copy where there is nothing to leave out."""
+        if not columns[domain]:
+            return observation.state[:, :0]
+        scaled: Tensor = self.scaler(observation.state, domain)
+        return scaled if columns[domain] == [*range(scaled.shape[1])] else scaled[:, columns[domain]]
+
+
+def _split(joined: Tensor, observation: Observations) -> dict[str, Tensor]:
+    sizes = [len(obs.state) for obs in observation.values()]
+    return dict(zip(observation, joined.split(sizes), strict=True))
+
+
+def _columns(
+    setting: str, chosen: str | list[str], choices: Sequence[str], domains: Sequence[DomainSpec]
+) -> dict[str, list[int]]:
+    """Columns of the state that a part of the policy sees, by domain."""
+    if isinstance(chosen, str):
+        if chosen not in choices:
+            known = ", ".join(map(repr, choices))
+            raise ConfigError(f"{setting} is {chosen!r}; expected {known} or a list of observation keys")
+        return {spec.name: [] if chosen == "none" else [*range(spec.state_size)] for spec in domains}
+    keys = {spec.name: [key.name for key in spec.state_keys] for spec in domains}
+    everywhere = {name for names in keys.values() for name in names}
+    for name in chosen:
+        if name not in everywhere:
+            raise ConfigError(f"{setting} names {name!r}; expected state keys: {', '.join(sorted(everywhere))}")
+    return {s.name: s.columns([name for name in chosen if name in keys[s.name]]) for s in domains}

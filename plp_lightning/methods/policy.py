@@ -1,0 +1,78 @@
+"""POLICY: what every method's policy has in common, so that data, evaluation and runs need not know the method."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from datamodules.problem import TransferProblem
+from datamodules.types import Actor, Observation
+
+Parts = Mapping[str, Tensor]
+"""One tensor by domain, with as many rows as the domain has in the batch."""
+Observations = Mapping[str, Observation[Tensor]]
+"""What is seen, by domain."""
+
+
+class Policy(nn.Module, ABC):
+    """Acts in the domains, on any of the tasks.
+
+    Args:
+        problem: Domains and tasks.
+        architecture: What rebuilds the policy beside the problem: plain lists, strings and numbers.
+    """
+
+    def __init__(self, problem: TransferProblem, architecture: dict[str, Any]) -> None:
+        super().__init__()
+        self.problem, self.architecture = problem, architecture
+        self.domains = {spec.name: spec for spec in problem.domains}
+        self.tasks = {name: i for i, name in enumerate(problem.tasks)}
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Domains that have one."""
+        return tuple(name for name, spec in self.domains.items() if spec.image_key is not None)
+
+    @property
+    def acts_in(self) -> tuple[str, ...]:
+        """Domains in which its actions mean something; in the others it is not evaluated."""
+        return tuple(self.domains)
+
+    @abstractmethod
+    def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
+        """Actions ``(B_d, A_d)`` by domain.
+
+        Args:
+            observation: By domain, B_d rows each.
+            task: Indices of the tasks ``(B_d,)`` int64, by domain.
+        """
+
+    @torch.inference_mode()
+    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
+        """Actions ``(B, A)`` for B observations of ``domain``, each with the name of its task."""
+        device = next(self.parameters()).device
+        seen = {domain: observation.map(lambda x: torch.as_tensor(x, device=device))}
+        ids = torch.tensor([self.tasks[name] for name in task], device=device)
+        actions: np.ndarray = self.predict_actions(seen, {domain: ids})[domain].cpu().numpy()
+        return actions
+
+    def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
+        """Who acts in episodes of ``tasks`` that begin now; a policy with a memory starts one for each of them."""
+
+        def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
+            return self.act(observation, domain, [tasks[i] for i in running])
+
+        return act
+
+
+class AligningPolicy(Policy):
+    """A policy that brings the states of all domains into one space, in which alignment can be scored."""
+
+    @abstractmethod
+    def encode(self, observation: Observations) -> dict[str, Tensor]:
+        """States ``(B_d, Z)`` of that space, by domain."""

@@ -1,0 +1,173 @@
+"""PLP-T WITHOUT SOURCE ACTIONS: the common policy foresees the next latent state, inverse dynamics finds the action."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from datamodules.errors import ConfigError
+from datamodules.types import Batch, BatchSpec, Steps
+from plp_lightning.methods.phase import Phase, Schedule
+from plp_lightning.methods.plp.adaptation import Adaptation
+from plp_lightning.methods.plp.alignment import Alignment, Term
+from plp_lightning.methods.policy import Parts
+from plp_lightning.methods.state_only.losses import one_step
+from plp_lightning.methods.state_only.policy import StateOnlyPolicy
+
+Reduction = Literal["mean", "sum"]
+
+
+class StateOnlyAlignment(Alignment):
+    """Next-latent prediction in every domain, inverse dynamics in the target domain, and alignment terms.
+
+    L = L_next + L_IDM + λ_MMD L_MMD + λ_TCC L_TCC (+ image reconstruction). L_next reaches encoder and common policy,
+    L_IDM the decoder alone. Held-out losses are ``val/next`` in every domain and, in the target domain, ``val/bc``:
+    of the actions that the two make together.
+
+    Args:
+        policy: The policy to train.
+        terms: Alignment terms.
+        mmd_weight: λ_MMD.
+        tcc_weight: λ_TCC.
+        adversarial_weight: Weight of the encoder's loss against the discriminator.
+        penalty_weight: γ of the penalty on the discriminator's slope.
+        reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
+        reconstruction_downsampling: How often images are halved before.
+        mmd_bandwidths: Widths of MMD's kernels, in mean distances.
+        next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
+        epochs: Passes over the proxy data, counted in samples of all domains together.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate.
+
+    Raises:
+        ConfigError: If the policy's decoder does not see the state.
+    """
+
+    trains = StateOnlyPolicy
+
+    def __init__(
+        self,
+        policy: StateOnlyPolicy,
+        terms: list[Term],
+        mmd_weight: float = 0.1,
+        tcc_weight: float = 0.2,
+        adversarial_weight: float = 0.1,
+        penalty_weight: float = 1.0,
+        reconstruction_weight: float = 1.0,
+        reconstruction_downsampling: int = 0,
+        mmd_bandwidths: Sequence[float] = (1.0,),
+        next_reduction: Reduction = "mean",
+        epochs: int = 100,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+    ) -> None:
+        super().__init__(
+            policy,
+            terms,
+            mmd_weight=mmd_weight,
+            tcc_weight=tcc_weight,
+            adversarial_weight=adversarial_weight,
+            penalty_weight=penalty_weight,
+            reconstruction_weight=reconstruction_weight,
+            reconstruction_downsampling=reconstruction_downsampling,
+            mmd_bandwidths=mmd_bandwidths,
+            epochs=epochs,
+            lr=lr,
+            weight_decay=weight_decay,
+            lr_schedule=lr_schedule,
+        )
+        _check_decoder(policy)
+        self.batch_spec = replace(self.batch_spec, course=True)
+        self.next_reduction, self.target = next_reduction, policy.problem.target_domain
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Held-out losses that no source action is needed for."""
+        steps = batch.steps
+        latent = self.policy.encode({domain: s.observation for domain, s in steps.items()})
+        size = self._size(batch)
+        self.log("val/next", self.imitation_terms(latent, steps)["next"], batch_size=size, on_epoch=True)
+        known = {domain: s for domain, s in steps.items() if domain == self.target}
+        Phase.validation_step(self, Batch(known, {}), batch_idx)
+
+    def imitation_terms(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
+        """L_next, and where there are steps of the target domain L_IDM."""
+        last, following = {}, {}
+        for domain, s in steps.items():
+            assert s.course is not None, "the phase demands it"
+            last[domain], following[domain] = s.course.last, s.course.following
+        with torch.no_grad():
+            after = self.policy.encode(following)
+        latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
+        parts = {"next": one_step(latent_action, after, last, self.next_reduction)}
+        here = {domain: s for domain, s in steps.items() if domain == self.target}
+        if here:
+            action = self.policy.decode({d: after[d] for d in here}, {d: s.observation for d, s in here.items()})
+            parts["inverse"] = one_step(action, {d: s.action for d, s in here.items()}, {d: last[d] for d in here})
+        return parts
+
+
+class StateOnlyAdaptation(Adaptation):
+    """Next-latent prediction of the target task from source states alone, with encoder and decoder frozen.
+
+    As the target task's demonstrations have no actions, ``val/bc``, by which the best checkpoint is told, is here
+    the held-out loss of the prediction.
+
+    Args:
+        policy: The aligned policy.
+        epochs: Passes over the target task's data and its mix.
+        lr: Learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        lr_schedule: Of the learning rate.
+        next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
+    """
+
+    trains = StateOnlyPolicy
+
+    def __init__(
+        self,
+        policy: StateOnlyPolicy,
+        epochs: int = 50,
+        lr: float = 1e-4,
+        weight_decay: float = 0.0,
+        lr_schedule: Schedule = "constant",
+        next_reduction: Reduction = "mean",
+    ) -> None:
+        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        self.batch_spec = BatchSpec("mix", images=False, course=True)
+        self.next_reduction = next_reduction
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """L_next on the target task and the mixed-in alignment data."""
+        loss = self._foresight(batch.steps)
+        if self.logs_now:
+            self.log_parts({"next": loss}, sum(len(s.action) for s in batch.steps.values()))
+        return loss
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """L_next on held-out trajectories of the target task."""
+        size = sum(len(s.action) for s in batch.steps.values())
+        self.log("val/bc", self._foresight(batch.steps), batch_size=size, on_epoch=True)
+
+    def _foresight(self, steps: Mapping[str, Steps]) -> Tensor:
+        """L_next, from latent states that are known already."""
+        last, latent, after = {}, {}, {}
+        for domain, s in steps.items():
+            assert s.course is not None, "the phase demands it"
+            last[domain], latent[domain] = s.course.last, self.latents[domain][s.row]
+            after[domain] = self.latents[domain][s.row + ~s.course.last]
+        latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
+        return one_step(latent_action, after, last, self.next_reduction)
+
+
+def _check_decoder(policy: StateOnlyPolicy) -> None:
+    if not policy.context_columns[policy.problem.target_domain]:
+        found = policy.architecture["decoder_state"]
+        raise ConfigError(
+            f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
+        )

@@ -1,0 +1,52 @@
+"""What the policies that map states between two domains have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torch import Tensor
+
+from datamodules.batches.normalization import Scaling
+from datamodules.errors import ConfigError
+from datamodules.problem import TransferProblem
+from datamodules.types import Observation
+from plp_lightning.methods.policy import AligningPolicy
+from plp_lightning.methods.translation.perception import Perception
+
+
+class TranslatingPolicy(AligningPolicy):
+    """A policy with one map each way between source x and target y, all on features.
+
+    Args:
+        problem: Domains and tasks; exactly two domains.
+        architecture: What rebuilds the policy beside the problem.
+        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        clip: Bound of z-scored inputs, in deviations.
+        image_channels: Of each convolution of the image encoders, see :class:`Perception`.
+
+    Raises:
+        ConfigError: If there are not two domains, or a size is wrong.
+    """
+
+    def __init__(
+        self,
+        problem: TransferProblem,
+        architecture: dict[str, Any],
+        scaling: dict[str, Scaling] | None,
+        clip: float,
+        image_channels: Sequence[int],
+    ) -> None:
+        super().__init__(problem, architecture)
+        if len(problem.domains) != 2:
+            raise ConfigError(
+                f"{type(self).__name__} translates between two domains, found {', '.join(self.domains)}; "
+                "leave all but source and target domain away"
+            )
+        self.source, self.target = problem.source_domain, problem.target_domain
+        self.perception = Perception(problem, scaling or {}, clip, image_channels)
+
+    def features(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        """Scaled state and feature points ``(B, S_d)`` of a domain: what everything else is a function of."""
+        state: Tensor = self.perception(domain, observation)
+        return state

@@ -1,0 +1,1 @@
+"""PICTURES: latent states, paths, films and reconstructions, for TensorBoard and as files."""

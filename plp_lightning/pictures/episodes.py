@@ -1,0 +1,69 @@
+"""Pictures of the target task's episodes at the end of a phase: paths through mazes, films by cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lightning.pytorch import Trainer
+
+from plp_lightning.envs.base import Simulator
+from plp_lightning.evaluation.simulation import EvalSetting
+from plp_lightning.pictures.film_figure import film_figure, film_frames
+from plp_lightning.pictures.films import FilmRecorder, film_recorders
+from plp_lightning.pictures.path_figure import Panel, path_figure
+from plp_lightning.pictures.paths import PathRecorder, path_recorders
+from plp_lightning.pictures.publish import publish, publish_film
+from plp_lightning.pictures.recorder import Recorder
+
+FILMED = 4
+"""Episodes that are filmed for each that is shown, so that there are failures to show."""
+
+
+@dataclass(frozen=True)
+class EpisodePictures:
+    """Who watches the episodes of the target task, and what becomes of it.
+
+    Args:
+        titles: By trial.
+        paths: By trial, where there is a floor plan.
+        films: By trial, where there is a camera.
+        shown: Films of each trial that are shown.
+    """
+
+    titles: Mapping[str, str]
+    paths: Mapping[str, PathRecorder]
+    films: Mapping[str, FilmRecorder]
+    shown: int
+
+    @classmethod
+    def of(
+        cls, simulators: Mapping[str, Simulator], settings: Mapping[str, EvalSetting], target_task: str, shown: int
+    ) -> EpisodePictures:
+        """Recorders for the target task in target and source domain, as far as there is something to see.
+
+        Args:
+            simulators: By domain.
+            settings: Episodes that are evaluated, by name; ``target`` and ``source`` are pictured.
+            target_task: Name of the target task.
+            shown: Films of each setting that are shown.
+        """
+        watched = {name: setting for name, setting in settings.items() if name in ("target", "source")}
+        titles = {name: f"{target_task} in {name} domain: {setting.domain}" for name, setting in watched.items()}
+        paths = path_recorders(simulators, watched)
+        return cls(titles, paths, film_recorders(simulators, watched, FILMED * shown, paths), shown)
+
+    @property
+    def stages(self) -> dict[str, Recorder]:
+        """By trial: who stands in for its simulator."""
+        return {**self.paths, **self.films}
+
+    def publish(self, trainer: Trainer) -> None:
+        """Show what was watched: ``paths`` and ``film`` in TensorBoard, as PNG, and the film as GIF."""
+        if self.paths:
+            panels = [Panel(self.titles[name], found.plan, found.paths) for name, found in self.paths.items()]
+            publish(trainer, "paths", path_figure(panels))
+        if self.films:
+            reels = {self.titles[name]: recorder.films(self.shown) for name, recorder in self.films.items()}
+            publish(trainer, "film", film_figure(reels))
+            publish_film(trainer, "film", film_frames(reels))

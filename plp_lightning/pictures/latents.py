@@ -1,0 +1,156 @@
+"""A picture of the latent space in TensorBoard and in the run directory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from lightning.pytorch import Callback, LightningModule, Trainer
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from sklearn.manifold import TSNE
+
+from datamodules.transfer import TransferDataModule
+from plp_lightning.envs.base import Simulator
+from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_rows
+from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.policy import AligningPolicy
+from plp_lightning.pictures.publish import publish
+
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+"""One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart
+(https://jfly.uni-koeln.de/color/)."""
+
+MARKERS = "o^sDvP"
+"""One a domain, in turn."""
+LEGEND: dict[str, Any] = {
+    "loc": "upper center",
+    "bbox_to_anchor": (0.5, 0),
+    "ncols": 3,
+    "markerscale": 2,
+    "frameon": False,
+    "fontsize": 10,
+}
+
+
+class LatentPicture(Callback):
+    """t-SNE of all domains' latent states on proxy tasks, at the end of a phase or every n epochs.
+
+    As in the paper (Figure 3), lines join states of source and target domain that correspond. The target task in
+    the target domain is never read. Where a simulator tells how an episode is arranged, the same points are also
+    coloured by that: whether latent states know it decides whether a task can be adapted to.
+
+    Args:
+        samples: States of each domain.
+        every_n_epochs: Epochs between two pictures; 0 draws one at the end of the phase only.
+        pairs: Corresponding states that are joined.
+        score: Who knows which states correspond; without one nothing is joined.
+        simulators: By domain.
+    """
+
+    def __init__(
+        self,
+        samples: int = 500,
+        every_n_epochs: int = 0,
+        pairs: int = 20,
+        score: AlignmentScore | None = None,
+        simulators: Mapping[str, Simulator] | None = None,
+    ) -> None:
+        self.samples, self.every_n_epochs, self.pairs = samples, every_n_epochs, pairs
+        self.score, self.simulators = score, simulators or {}
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Draw, if it is this epoch's turn."""
+        epoch = trainer.current_epoch + 1
+        turn = self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
+        policy = pl_module.policy if isinstance(pl_module, Phase) else None
+        if (turn or epoch == trainer.max_epochs) and isinstance(policy, AligningPolicy):
+            self._draw(trainer, policy)
+
+    def _draw(self, trainer: Trainer, policy: AligningPolicy) -> None:
+        data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]
+        rows = {d: sample_rows(data, d, self.samples) for d in data.domains}
+        seen = {d: data.datasets[d].observation.take(torch.from_numpy(chosen)) for d, chosen in rows.items()}
+        latents = {d: encode(policy, d, states).numpy() for d, states in seen.items()}
+        kinds = {d: self._arrangements(data, d, chosen) for d, chosen in rows.items()}
+        publish(trainer, "latents", latent_figure(latents, self._joined(policy, data), kinds))
+
+    def _arrangements(self, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[str]:
+        """Of each row's episode; empty if the simulator knows of none."""
+        if domain not in self.simulators:
+            return []
+        dataset, simulator = data.datasets[domain], self.simulators[domain]
+        episodes = dataset.episode_of(rows)
+        tasks = [data.tasks[i] for i in dataset.episode_task[episodes]]
+        seeds = dataset.episode_seed[episodes].tolist()
+        found = [simulator.arrangement(task, seed) for task, seed in zip(tasks, seeds, strict=True)]
+        return [name for name in found if name is not None]
+
+    def _joined(self, policy: AligningPolicy, data: TransferDataModule) -> dict[str, np.ndarray]:
+        if self.score is None or self.pairs == 0:
+            return {}
+        states = self.score.correspondences(data, self.simulators, self.pairs)
+        return {domain: encode(policy, domain, seen).numpy() for domain, seen in (states or {}).items()}
+
+
+def latent_figure(
+    latents: Mapping[str, np.ndarray],
+    joined: Mapping[str, np.ndarray] | None = None,
+    kinds: Mapping[str, Sequence[str]] | None = None,
+) -> Figure:
+    """Scatter plot of the t-SNE projection of latent states, one colour a domain.
+
+    Args:
+        latents: By domain, ``(N_d, Z)``.
+        joined: Of two of these domains ``(P, Z)``: row i of both is joined by a line.
+        kinds: By domain, what kind of situation each state is of: a second plot of the same points has a colour for
+            each kind and a marker for each domain. Without any there is one plot.
+    """
+    pairs = dict(joined or {})
+    named = {domain: names for domain, names in (kinds or {}).items() if names}
+    colours = {domain: COLOURS[i % len(COLOURS)] for i, domain in enumerate(latents)}
+    flat = _flatten([*latents.values(), *pairs.values()])
+    plots = 2 if named else 1
+    figure = Figure(figsize=(6 * plots, 6.5), layout="constrained")
+    axes, *more = figure.subplots(1, plots, squeeze=False)[0]
+    for (domain, colour), points in zip(colours.items(), flat, strict=False):
+        axes.scatter(points[:, 0], points[:, 1], s=12, alpha=0.5, color=colour, label=domain, linewidths=0)
+    ends = dict(zip(pairs, flat[len(latents) :], strict=True))
+    if ends:
+        lines = np.stack(list(ends.values()), axis=1)
+        label = f"{len(lines)} pairs of corresponding states"
+        axes.add_collection(LineCollection(lines, colors="black", linewidths=0.8, label=label, zorder=3))
+    for domain, points in ends.items():
+        axes.scatter(points[:, 0], points[:, 1], s=26, color=colours[domain], edgecolors="black", zorder=4)
+    axes.set(xticks=[], yticks=[])
+    axes.set_title("latent states of the proxy tasks (t-SNE)", fontsize=12)
+    axes.legend(**LEGEND)
+    for other in more:
+        _draw_kinds(other, dict(zip(latents, flat, strict=False)), named)
+    return figure
+
+
+def _draw_kinds(axes: Axes, points: Mapping[str, np.ndarray], kinds: Mapping[str, Sequence[str]]) -> None:
+    """Points ``(N_d, 2)`` by domain, a colour for each kind and a marker for each domain."""
+    for i, kind in enumerate(sorted({name for names in kinds.values() for name in names})):
+        for marker, (domain, names) in zip(MARKERS, kinds.items(), strict=False):
+            chosen = points[domain][np.array(names) == kind]
+            label = f"{kind}, {domain}"
+            axes.scatter(
+                chosen[:, 0], chosen[:, 1], s=14, alpha=0.6, color=COLOURS[i % len(COLOURS)], marker=marker, label=label
+            )
+    axes.set(xticks=[], yticks=[])
+    axes.set_title("the same by arrangement", fontsize=12)
+    axes.legend(**LEGEND)
+
+
+def _flatten(parts: list[np.ndarray]) -> list[np.ndarray]:
+    """Parts ``(N_i, Z)``, projected together, as ``(N_i, 2)``."""
+    rows = np.concatenate(parts)
+    # A principal component more than there are latent numbers can't be had.
+    start = "pca" if rows.shape[1] > 1 else "random"
+    flat = TSNE(perplexity=min(30.0, (len(rows) - 1) / 3), random_state=0, init=start).fit_transform(rows)
+    return np.split(flat, np.cumsum([len(part) for part in parts])[:-1])

@@ -1,0 +1,75 @@
+"""What cameras saw, beside what the latent states have kept of it: in TensorBoard and in the run directory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from lightning.pytorch import Callback, LightningModule, Trainer
+from matplotlib.figure import Figure
+
+from datamodules.transfer import TransferDataModule
+from datamodules.types import Observation
+from plp_lightning.evaluation.scores import sample_states
+from plp_lightning.methods.plp import Alignment
+from plp_lightning.pictures.publish import publish
+
+ROWS = ("seen", "reconstructed")
+
+
+class ReconstructionPicture(Callback):
+    """Images of proxy tasks, each above its reconstruction, at the end of a phase that has an image decoder.
+
+    Args:
+        samples: Images of each domain.
+    """
+
+    def __init__(self, samples: int = 8) -> None:
+        self.samples = samples
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Draw, if this was the last epoch and there is something to draw."""
+        last = trainer.current_epoch + 1 == trainer.max_epochs
+        if last and isinstance(pl_module, Alignment) and pl_module.image_decoder is not None:
+            data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]
+            publish(trainer, "reconstructions", reconstruction_figure(reconstructions(pl_module, data, self.samples)))
+
+
+@torch.no_grad()
+def reconstructions(phase: Alignment, data: TransferDataModule, count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Images of each domain with a camera, as seen and as reconstructed.
+
+    Args:
+        phase: With an image decoder.
+        data: The demonstrations, of which only proxy tasks are looked at.
+        count: Images of each domain.
+
+    Returns:
+        By domain ``(N, H, W, C)`` uint8, and ``(N, H', W', C)`` in (0, 1), smaller if the decoder's images are.
+    """
+    seen: dict[str, Observation[torch.Tensor]] = {
+        spec.name: sample_states(data, spec.name, count) for spec in data.specs if spec.image_key is not None
+    }
+    latent = phase.policy.encode({d: obs.map(lambda x: x.to(phase.device)) for d, obs in seen.items()})
+    made = {domain: image.float().cpu().numpy() for domain, image in phase.reconstruct(latent).items()}
+    return {d: (obs.image.numpy(), made[d]) for d, obs in seen.items() if obs.image is not None}
+
+
+def reconstruction_figure(pairs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """Two rows for each domain: what was seen, and below it what the latent state tells of it.
+
+    Args:
+        pairs: By domain, images ``(N, H, W, C)`` and reconstructions ``(N, H', W', C)``.
+    """
+    count = max(len(seen) for seen, _ in pairs.values())
+    figure = Figure(figsize=(1.2 * count + 1.2, 2.5 * len(pairs)), layout="constrained")
+    grid = figure.subplots(2 * len(pairs), count, squeeze=False)
+    for axes in grid.flat:
+        axes.axis("off")
+    rows = [(domain, what, images) for domain, pair in pairs.items() for what, images in zip(ROWS, pair, strict=True)]
+    for row, (domain, what, images) in zip(grid, rows, strict=True):
+        row[0].text(-0.1, 0.5, f"{domain}\n{what}", transform=row[0].transAxes, ha="right", va="center", fontsize=10)
+        for axes, image in zip(row, images, strict=False):
+            axes.imshow(image)
+    return figure

@@ -1,0 +1,254 @@
+"""Experts in simulators → demonstrations in a trajectory file, in parallel processes."""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import shlex
+import sys
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+
+from datamodules.errors import UserError
+from datamodules.store.writer import TrajectoryFile, add_trajectories
+from datamodules.streams import episode_seed
+from datamodules.types import Observation, Trajectory
+from plp_lightning.envs.base import Domain
+from plp_lightning.envs.rollout import rollout
+from plp_lightning.envs.threads import available_cores
+from plp_lightning.runs.progress import JobProgress
+from plp_lightning.runs.versions import versions
+
+_domains: Mapping[str, Domain] = {}
+"""In a collecting process: the experiment's domains, whose simulators are built once for each process."""
+
+
+@dataclass(frozen=True)
+class CollectionConfig:
+    """How demonstrations are made.
+
+    Args:
+        processes: Processes that collect; 0 means one for each core.
+        hold_steps: Control steps that are recorded after success, so that the end is held.
+        noise: Standard deviation of noise on executed actions; the recorded action stays the expert's.
+        random_start_steps: Control steps of one random action before the expert takes over, which are not recorded,
+            so that demonstrations begin in many places.
+        seed: Seed of all initial states. It is no part of a run's seed: runs share their data.
+        attempts: Attempts for each wanted demonstration before the expert is called unfit.
+    """
+
+    processes: int = 0
+    hold_steps: int = 5
+    noise: float = 0.0
+    random_start_steps: int = 0
+    seed: int = 0
+    attempts: int = 3
+
+    def differences(self, other: Mapping[str, object]) -> dict[str, tuple[object, object]]:
+        """Settings in which another recipe's demonstrations differ from this one's, as (other's, own).
+
+        Args:
+            other: The other recipe by setting, as stored in a file; what it lacks had its default.
+        """
+        pairs = {name: (other.get(name, getattr(CollectionConfig, name)), getattr(self, name)) for name in DECISIVE}
+        return {name: (found, own) for name, (found, own) in pairs.items() if found != own}
+
+
+DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
+"""Settings of a recipe that decide what its demonstrations hold."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Demonstrations of one task in one domain that are wanted."""
+
+    domain: str
+    task: str
+    count: int
+    known_seeds: frozenset[int]
+    """Seeds of demonstrations that the file already holds."""
+
+
+class ExpertCollector:
+    """Fills a trajectory file with demonstrations by the domains' experts; only successes are kept.
+
+    Which demonstrations result depends on the recipe alone, not on how many processes made them.
+
+    Args:
+        domains: Simulators and experts by domain.
+        recipe: How demonstrations are made.
+    """
+
+    def __init__(self, domains: Mapping[str, Domain], recipe: CollectionConfig) -> None:
+        self.domains, self.recipe = domains, recipe
+
+    def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+        """Add ``missing[domain][task]`` demonstrations to the file at ``path``; if interrupted, those made so far."""
+        without = [name for name in missing if self.domains[name].expert is None]
+        if without:
+            raise UserError(f"domain {without[0]!r} has no expert; add one or import demonstrations into {path}")
+        first = next(iter(self.domains.values())).simulator
+        specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
+        made: list[Trajectory] = []
+        try:
+            for trajectory in self._collect(self._jobs(path, missing)):
+                made.append(trajectory)
+        except UserError:
+            made.clear()  # settings will have to change, and a file holds demonstrations of one recipe
+            raise
+        finally:
+            if made:
+                add_trajectories(path, specs, first.tasks, made, self._provenance())
+
+    def check(self, path: Path) -> None:
+        """Refuse a file whose demonstrations another recipe made: who changes a setting means to see its effect.
+
+        Demonstrations that were imported are taken as they are.
+
+        Raises:
+            UserError: If another recipe made demonstrations of one of the domains.
+        """
+        for recipe in self._recipes(path):
+            for name, (found, wanted) in self.recipe.differences(recipe).items():
+                raise UserError(
+                    f"{path}: its demonstrations were collected with --collection.{name} {found}; "
+                    f"expected {wanted}: restore the setting or name another --data.file"
+                )
+
+    def _recipes(self, path: Path) -> Iterator[Mapping[str, object]]:
+        """Recipes by which experts of this project made demonstrations of the domains."""
+        with TrajectoryFile.open(path) as file:
+            records = [file.provenance, *file.provenance.get("earlier", [])]
+        for record in records:
+            match record:
+                case {"experts": dict(experts), "recipe": dict(recipe)} if self.domains.keys() & experts.keys():
+                    yield recipe
+
+    def _jobs(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> list[Job]:
+        known: dict[str, frozenset[int]] = {}
+        if path.exists():
+            with TrajectoryFile.open(path) as file:
+                known = {s.name: frozenset(map(int, file.episodes(s.name).seed)) for s in file.domains}
+        pairs = [(domain, task, n) for domain, tasks in missing.items() for task, n in tasks.items()]
+        return [Job(domain, task, n, known.get(domain, frozenset())) for domain, task, n in pairs]
+
+    def _collect(self, jobs: list[Job]) -> Iterator[Trajectory]:
+        cores = available_cores()
+        total, processes = sum(job.count for job in jobs), min(self.recipe.processes or cores, len(jobs))
+        begin = partial(_begin_process, self.domains, max(1, cores // processes))
+        with (
+            JobProgress("collecting", total, "demonstrations") as progress,
+            ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin) as pool,
+        ):
+            futures: dict[Future[list[Trajectory]], Job] = {pool.submit(demonstrate, j, self.recipe): j for j in jobs}
+            try:
+                for future in as_completed(futures):
+                    made = future.result()
+                    progress.advance(len(made), f"{futures[future].domain} {futures[future].task}")
+                    yield from made
+            except BaseException:
+                pool.shutdown(cancel_futures=True)  # no use in the rest if one task can't be had
+                raise
+
+    def _provenance(self) -> dict[str, object]:
+        experts = {name: type(domain.expert).__name__ for name, domain in self.domains.items()}
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        return {"command": command, "recipe": vars(self.recipe), "experts": experts, "versions": versions()}
+
+
+def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
+    """The processes share the cores; where tasks are fewer than cores, each gets several for its physics."""
+    globals()["_domains"] = domains
+    for domain in domains.values():
+        domain.simulator.threads = threads
+
+
+def demonstrate(job: Job, recipe: CollectionConfig) -> list[Trajectory]:
+    """The first ``job.count`` successes among the attempts, in the order of the attempts.
+
+    Raises:
+        UserError: If the expert fails so often that ``recipe.attempts`` times the wanted number don't suffice.
+    """
+    made: list[Trajectory] = []
+    attempts = 0
+    seeds = (episode_seed("collect", recipe.seed, job.domain, job.task, i) for i in itertools.count())
+    unknown = (seed for seed in seeds if seed not in job.known_seeds)
+    while len(made) < job.count:
+        if attempts >= recipe.attempts * job.count + 10:
+            raise UserError(
+                f"expert of domain {job.domain!r} solved task {job.task!r} {len(made)} times in {attempts} attempts; "
+                f"{job.count} demonstrations were asked for; mend the expert or raise --collection.attempts"
+            )
+        wave = list(itertools.islice(unknown, max(4, job.count - len(made))))
+        made += _attempt(job, wave, recipe)
+        attempts += len(wave)
+    return made[: job.count]
+
+
+def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Trajectory]:
+    domain = _domains[job.domain]
+    tasks = [job.task] * len(seeds)
+    demonstrator = Demonstrator(domain, tasks, seeds, recipe.noise, recipe.random_start_steps)
+    episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.hold_steps)
+    solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.random_start_steps))
+    return [
+        Trajectory(job.domain, job.task, *demonstrator.episode(int(i)), seed=seeds[int(i)], success=True)
+        for i in solved
+    ]
+
+
+class Demonstrator:
+    """Lets an expert act and writes down what it saw and did.
+
+    Args:
+        domain: Who acts, and where.
+        tasks: Task of each episode.
+        seeds: Seed of each episode, also of its noise.
+        noise: Standard deviation of noise on the executed action.
+        random_start_steps: Control steps before the expert takes over, in which each episode repeats a random action.
+    """
+
+    def __init__(
+        self, domain: Domain, tasks: list[str], seeds: list[int], noise: float, random_start_steps: int = 0
+    ) -> None:
+        assert domain.expert is not None
+        self.expert, self.noise, self.random_start_steps = domain.expert, noise, random_start_steps
+        self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
+        self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
+        self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
+
+    @cached_property
+    def drifts(self) -> np.ndarray:
+        """``(E, A)``: the random action of each episode before the expert takes over."""
+        size = self.simulator.spec("").action_size
+        drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in self.seeds]
+        return np.array(drifts, dtype=np.float32)
+
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        """The expert's actions, with noise if asked for; before it takes over, the episodes' own random ones."""
+        if self.random_start_steps > 0:
+            self.random_start_steps -= 1
+            drifting: np.ndarray = self.drifts[episodes]
+            return drifting
+        if not self.steps:
+            self.expert.begin(self.simulator, self.tasks, self.seeds)
+        actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
+        self.steps.append((episodes, observation, actions))
+        if self.noise == 0:
+            return actions
+        shaken = [self.generators[e].normal(0, self.noise, actions.shape[1]) for e in episodes]
+        noisy: np.ndarray = np.clip(actions + np.array(shaken, dtype=np.float32), -1, 1)
+        return noisy
+
+    def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
+        """Observations ``(T, …)`` and actions ``(T, A)`` of one episode."""
+        spots = [(step, np.searchsorted(step[0], index)) for step in self.steps]
+        rows = [(obs.take(i), actions[i]) for (ids, obs, actions), i in spots if i < len(ids) and ids[i] == index]
+        states = np.stack([obs.state for obs, _ in rows])
+        images = [obs.image for obs, _ in rows if obs.image is not None]
+        return Observation(states, np.stack(images) if images else None), np.stack([action for _, action in rows])

@@ -1,0 +1,204 @@
+"""What a configuration describes: an experiment, a method, and how to run them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch import Callback
+
+from datamodules.errors import ConfigError
+from datamodules.problem import TransferProblem
+from datamodules.transfer import TransferDataModule
+from plp_lightning.envs.base import Domain, Simulator
+from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.evaluation.simulation import EvalSetting, Success, evaluate_all
+from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.policy import AligningPolicy, Policy
+
+PolicyFactory = Callable[[TransferProblem], Policy]
+PhaseFactory = Callable[[Policy], Phase[Any]]
+
+
+@dataclass(frozen=True)
+class EvaluationPlan:
+    """When and how much to evaluate in the simulators.
+
+    Args:
+        every_n_epochs: Epochs between two evaluations, by phase; 0 leaves it to the end. A phase that is not
+            named is evaluated whenever that takes under a tenth of the time trained since the last evaluation.
+        episodes: Episodes of each trial in these.
+        final_episodes: Episodes of each trial at the end of a phase.
+        score_every_n_epochs: Epochs between two alignment scores.
+        latent_states: States of each domain in the picture of the latent space; 0 draws none.
+        latent_every_n_epochs: Epochs between two of these pictures; 0 draws one at the end of a phase only.
+        latent_pairs: Corresponding states that are joined in them.
+        reconstructions: Images of each domain in the picture of reconstructions; 0 draws none.
+        films: Episodes of the target task in each domain's film, failures first; 0 films none.
+    """
+
+    every_n_epochs: dict[str, int] = field(default_factory=dict)
+    episodes: int = 20
+    final_episodes: int = 100
+    score_every_n_epochs: int = 5
+    latent_states: int = 500
+    latent_every_n_epochs: int = 0
+    latent_pairs: int = 20
+    reconstructions: int = 8
+    films: int = 6
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Everything that a run needs, built from its configuration."""
+
+    name: str
+    method: str
+    seed: int
+    threads: int
+    run_root: Path
+    domains: Mapping[str, Domain]
+    data: TransferDataModule
+    policy: PolicyFactory
+    phases: Mapping[str, PhaseFactory]
+    """By name, in the order in which they are run."""
+    evaluation: EvaluationPlan
+    score: AlignmentScore | None
+    callbacks: Sequence[Callback]
+    trainer: Mapping[str, Any]
+    """Arguments of Lightning's Trainer."""
+    config: str
+    """The resolved configuration as YAML."""
+
+    @property
+    def run_path(self) -> Path:
+        """``<run_root>/<experiment>/<method>/<target task>/seed_<n>``."""
+        return self.run_root / self.name / self.method / self.data.target_task / f"seed_{self.seed}"
+
+    @property
+    def simulators(self) -> dict[str, Simulator]:
+        """By domain."""
+        return {name: domain.simulator for name, domain in self.domains.items()}
+
+    @property
+    def eval_settings(self) -> dict[str, EvalSetting]:
+        """Episodes that are run: the target task and the proxy tasks, in target and source domain."""
+        data = self.data
+        return {
+            "target": EvalSetting(data.target_domain, data.target_tasks),
+            "source": EvalSetting(data.source_domain, data.target_tasks),
+            "proxy": EvalSetting(data.target_domain, data.proxy_tasks),
+            "proxy_source": EvalSetting(data.source_domain, data.proxy_tasks),
+        }
+
+    def eval_settings_of(self, policy: Policy) -> dict[str, EvalSetting]:
+        """The trials in domains that a policy acts in."""
+        return {name: trial for name, trial in self.eval_settings.items() if trial.domain in policy.acts_in}
+
+    def build_policy(self) -> Policy:
+        """The policy, untrained, for the domains, tasks and statistics of the data."""
+        return self.policy(self.data.problem)
+
+    def evaluate(
+        self,
+        policy: Policy,
+        episodes: int | None = None,
+        seed: int | None = None,
+        recorders: Mapping[str, Simulator] | None = None,
+    ) -> dict[str, Success]:
+        """Outcome of every trial of a policy at the end of training.
+
+        Args:
+            policy: The trained policy, in eval mode.
+            episodes: Episodes of each trial; those of the plan if not given.
+            seed: Seed of the initial states; that of the run if not given.
+            recorders: By trial: who stands in for its simulator, see :func:`evaluate_all`.
+        """
+        episodes = self.evaluation.final_episodes if episodes is None else episodes
+        seed = self.seed if seed is None else seed
+        return evaluate_all(policy, self.simulators, self.eval_settings_of(policy), episodes, seed, recorders)
+
+    def alignment(self, policy: Policy) -> dict[str, float]:
+        """Alignment scores of a policy at the end of a phase; empty without a score or anything to score."""
+        if self.score is None or not isinstance(policy, AligningPolicy):
+            return {}
+        scores = self.score(policy, self.data, self.simulators)
+        return scores | self.score.of_target(policy, self.data, self.simulators)
+
+
+LEAST: Mapping[str, float] = {
+    "seed": 0,
+    "threads": 1,
+    "data.trajectories": 1,
+    "data.source_trajectories": 1,
+    "data.target_trajectories": 1,
+    "data.proxy_goals": 1,
+    "data.val_fraction": 0,
+    "data.batch_size": 1,
+    "data.pairs": 1,
+    "data.tasks_per_batch": 1,
+    "data.stride": 1,
+    "data.mix": 0,
+    "data.image_memory": 0,
+    "collection.attempts": 1,
+    "policy.init_args.latent": 1,
+    "policy.init_args.hidden": 1,
+    "evaluation.episodes": 1,
+    "evaluation.final_episodes": 1,
+    "evaluation.latent_states": 0,
+    "evaluation.latent_every_n_epochs": 0,
+    "evaluation.latent_pairs": 0,
+    "evaluation.reconstructions": 0,
+    "evaluation.films": 0,
+    "trainer.max_epochs": 1,
+}
+"""Smallest meaningful value of settings."""
+LEAST_IN_PHASE: Mapping[str, float] = {"init_args.epochs": 1, "init_args.lr": 0, "init_args.weight_decay": 0}
+NAME = re.compile(r"(?!\.+$)[\w.-]{1,64}", re.ASCII)
+"""What can name a folder: no separators, no way out of the folder above."""
+
+
+def check_numbers(settings: Mapping[str, Any], phases: Sequence[str]) -> None:
+    """Every number has to be one that training can begin with.
+
+    Args:
+        settings: By dotted key.
+        phases: Names of the phases, which are keys too.
+
+    Raises:
+        ConfigError: If one is too small, or no trajectory would be left to train on.
+    """
+    least = {**LEAST, **{f"{name}.{key}": value for name in phases for key, value in LEAST_IN_PHASE.items()}}
+    for key, bound in least.items():
+        found = settings.get(key)
+        if found is not None and not found >= bound:
+            raise ConfigError(f"--{key} is {found}; expected at least {bound}; raise it")
+    if settings["data.val_fraction"] >= 1:
+        raise ConfigError(f"--data.val_fraction is {settings['data.val_fraction']}; expected a share below 1; lower it")
+
+
+def check_names(names: Mapping[str, str]) -> None:
+    """Names that become folders have to stay below the run root.
+
+    Raises:
+        ConfigError: If one does not.
+    """
+    for key, name in names.items():
+        if not NAME.fullmatch(name):
+            raise ConfigError(f"{key} is {name!r}; expected up to 64 letters, digits, '.', '_' and '-'; rename it")
+
+
+def check_roles(domains: Mapping[str, Domain], source: str, target: str) -> None:
+    """Source and target domain have to be two domains of the experiment.
+
+    Raises:
+        ConfigError: If they are not.
+    """
+    for key, name in (("source_domain", source), ("target_domain", target)):
+        if name not in domains:
+            raise ConfigError(f"--data.{key} is {name!r}; the domains of this experiment are {', '.join(domains)}")
+    if source == target:
+        raise ConfigError(f"source and target domain are both {source!r}; set two different ones")

@@ -1,0 +1,47 @@
+"""Progress of a phase: a bar on a terminal, a line now and then in a log."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lightning.pytorch import Callback, LightningModule, Trainer
+
+from plp_lightning.runs.progress import JobProgress
+
+
+class PhaseProgress(Callback):
+    """Counts epochs and shows the held-out loss and the newest success rate.
+
+    Args:
+        phase: Name of the phase.
+    """
+
+    def __init__(self, phase: str) -> None:
+        self.phase = phase
+        self.progress: JobProgress | None = None
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Begin where a resumed run stopped."""
+        self.progress = JobProgress(self.phase, trainer.max_epochs or 0, "epochs").__enter__()
+        self.progress.advance(trainer.current_epoch)
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """One more epoch."""
+        assert self.progress is not None
+        self.progress.advance(1, _note(trainer.callback_metrics))
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Leave the line."""
+        assert self.progress is not None
+        self.progress.__exit__(None, None, None)
+        self.progress = None
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        """Give the terminal back."""
+        if self.progress is not None:
+            self.progress.__exit__(type(exception), exception, None)
+
+
+def _note(metrics: Any) -> str:
+    shown = {"val/bc": "held-out loss {:.4f}", "eval/target_success": "target success {:.2f}"}
+    return ", ".join(text.format(float(metrics[key])) for key, text in shown.items() if key in metrics)
