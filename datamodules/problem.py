@@ -11,6 +11,29 @@ from datamodules.types import DomainSpec
 
 
 @dataclass(frozen=True)
+class TransferRoles:
+    """Which domain and which task plays which part in a transfer.
+
+    Args:
+        domains: Names of the domains, in order.
+        source_domain: Domain whose demonstrations of the target task adapt the policy.
+        target_domain: Domain that the policy is transferred to.
+        tasks: Names of all tasks, in canonical order; their positions are the task indices.
+        proxy_tasks: Tasks that align the domains.
+        target_task: Name of the target task.
+        target_tasks: Tasks that make up the target (one, or a goal from several start zones).
+    """
+
+    domains: tuple[str, ...]
+    source_domain: str
+    target_domain: str
+    tasks: tuple[str, ...]
+    proxy_tasks: tuple[str, ...]
+    target_task: str
+    target_tasks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class TransferProblem:
     """What is to be transferred: all that a policy is built for.
 

@@ -13,13 +13,15 @@ import torch
 from filelock import FileLock
 from lightning.pytorch import LightningDataModule
 
+from datamodules.amounts import Batching, Demonstrations
 from datamodules.batches.dataset import DomainDataset, build_dataset
 from datamodules.batches.images import Images, stored_images
 from datamodules.batches.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
 from datamodules.batches.normalization import Statistics
 from datamodules.batches.orders import AlignmentOrder, MixOrder, NoSteps, PairOrder, TaskwiseOrder, generator
 from datamodules.errors import MissingTrajectoriesError
-from datamodules.problem import TransferProblem
+from datamodules.problem import TransferProblem, TransferRoles
+from datamodules.settings import NonNegativeFloat
 from datamodules.store.writer import TrajectoryFile
 from datamodules.types import Batch, BatchSpec, Collector, DomainSpec
 
@@ -34,61 +36,31 @@ class TransferDataModule(LightningDataModule):
 
     Args:
         path: The trajectory file.
-        tasks: All task names of the experiment, in canonical order; their positions are the task indices.
-        proxy_tasks: Tasks that align the domains.
-        target_tasks: Tasks that make up the target (one, or a goal from several start zones).
-        domains: Names of the domains, in order.
-        source_domain: Domain whose demonstrations of the target adapt the policy.
-        target_domain: Domain that the policy is transferred to.
-        target_task: Name of the target task.
-        trajectories: Demonstrations of all proxy tasks together, for each domain.
-        target_trajectories: Demonstrations of the target, all its tasks together.
-        val_fraction: Share of the trajectories that is kept from training, for the held-out loss.
-        batch_size: Steps in a batch, all domains together.
-        pairs: Trajectory pairs in a batch, for phases that ask for them.
-        stride: One of so many frames of a paired trajectory is kept.
-        mix_ratio: Alignment steps for each target step in adaptation, drawn anew each epoch.
+        roles: Domains and tasks, and the part that each plays.
+        demonstrations: How many there shall be.
+        batching: What a batch holds.
         seed: Seed of every draw.
         image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches
             ask for them, and as much of them is kept. The batches are the same.
-        source_trajectories: Demonstrations of all proxy tasks together in each domain but the target domain; as many as
-            ``trajectories`` if not given.
-        tasks_per_batch: Alignment batches hold the same so many tasks in every domain; steps of all tasks if not given.
         collector: Makes missing demonstrations; None if they can only come from the file.
     """
 
     def __init__(
         self,
         path: Path,
-        tasks: Sequence[str],
-        proxy_tasks: Sequence[str],
-        target_tasks: Sequence[str],
-        domains: Sequence[str],
-        source_domain: str,
-        target_domain: str,
-        target_task: str,
-        trajectories: int = 1000,
-        target_trajectories: int = 64,
-        val_fraction: float = 0.05,
-        batch_size: int = 512,
-        pairs: int = 32,
-        stride: int = 16,
-        mix_ratio: float = 2.0,
+        roles: TransferRoles,
+        demonstrations: Demonstrations,
+        batching: Batching,
         seed: int = 0,
-        image_memory: float = 4.0,
-        source_trajectories: int | None = None,
-        tasks_per_batch: int | None = None,
+        image_memory: NonNegativeFloat = 4.0,
         collector: Collector | None = None,
     ) -> None:
         super().__init__()
-        self.path, self.tasks, self.domains = path, tuple(tasks), tuple(domains)
-        self.proxy_tasks, self.target_tasks, self.target_task = tuple(proxy_tasks), tuple(target_tasks), target_task
-        self.source_domain, self.target_domain = source_domain, target_domain
-        self.trajectories, self.target_trajectories = trajectories, target_trajectories
-        self.source_trajectories = source_trajectories or trajectories
-        self.val_fraction, self.batch_size, self.pairs, self.stride = val_fraction, batch_size, pairs, stride
-        self.mix_ratio, self.seed, self.image_memory, self.collector = mix_ratio, seed, image_memory, collector
-        self.tasks_per_batch = tasks_per_batch
+        self.path, self.seed, self.image_memory, self.collector = path, seed, image_memory, collector
+        self.domains, self.source_domain, self.target_domain = roles.domains, roles.source_domain, roles.target_domain
+        self.tasks, self.proxy_tasks = roles.tasks, roles.proxy_tasks
+        self.target_task, self.target_tasks = roles.target_task, roles.target_tasks
+        self.demonstrations, self.batching, self.val_fraction = demonstrations, batching, demonstrations.val_fraction
         self._loader: Loader | None = None
         self._cursor: Mapping[str, int] | None = None
 
@@ -97,12 +69,13 @@ class TransferDataModule(LightningDataModule):
     def needed(self) -> dict[str, dict[str, int]]:
         """Demonstrations that the experiment needs: ``batch_spec[domain][task]``."""
         needed = {domain: dict.fromkeys(self.proxy_tasks, self._per_proxy(domain)) for domain in self.domains}
-        per_target = -(-self.target_trajectories // len(self.target_tasks))
+        per_target = -(-self.demonstrations.target_trajectories // len(self.target_tasks))
         needed[self.source_domain] |= dict.fromkeys(self.target_tasks, per_target)
         return needed
 
     def _per_proxy(self, domain: str) -> int:
-        total = self.trajectories if domain == self.target_domain else self.source_trajectories
+        found = self.demonstrations
+        total = (domain != self.target_domain and found.source_trajectories) or found.trajectories
         return -(-total // len(self.proxy_tasks))
 
     def missing(self) -> dict[str, dict[str, int]]:
@@ -200,7 +173,7 @@ class TransferDataModule(LightningDataModule):
     def loader(self, batch_spec: BatchSpec) -> Loader:
         """Training batches of a phase."""
         datasets = self._tables(batch_spec)
-        stride = self.stride if batch_spec.pairs == "thinned" else 1
+        stride = self.batching.stride if batch_spec.pairs == "thinned" else 1
         pairs = None if batch_spec.pairs == "none" else PairSource(datasets, self._pair_order(), stride)
         return Loader(datasets, self._order(batch_spec), pairs, batch_spec.course)
 
@@ -210,34 +183,40 @@ class TransferDataModule(LightningDataModule):
         proxy_tasks = self.rows(self.proxy_tasks, "train")
         if batch_spec.steps == "mix":
             return MixOrder(
-                self.rows(self.target_tasks, "train"), proxy_tasks, self.mix_ratio, self.batch_size, self.seed
+                self.rows(self.target_tasks, "train"),
+                proxy_tasks,
+                self.batching.mix_ratio,
+                self.batching.batch_size,
+                self.seed,
             )
         rows = (
             proxy_tasks
             if batch_spec.steps == "proxy_tasks"
             else self.rows([*self.proxy_tasks, *self.target_tasks], "train")
         )
-        if self.tasks_per_batch is None:
-            return AlignmentOrder(rows, self.batch_size, self.seed)
+        if self.batching.tasks_per_batch is None:
+            return AlignmentOrder(rows, self.batching.batch_size, self.seed)
         tasks = {domain: self.datasets[domain].task.numpy()[found] for domain, found in rows.items()}
-        return TaskwiseOrder(rows, tasks, self.tasks_per_batch, self.batch_size, self.seed)
+        return TaskwiseOrder(rows, tasks, self.batching.tasks_per_batch, self.batching.batch_size, self.seed)
 
     def _tables(self, batch_spec: BatchSpec) -> dict[str, DomainDataset]:
         return {d: dataset if batch_spec.images else dataset.without_images() for d, dataset in self.datasets.items()}
 
     def _pair_order(self) -> PairOrder:
         episodes = {domain: self.episodes_by_task(domain) for domain in self.domains}
-        return PairOrder(episodes, self.pairs, self.seed)
+        return PairOrder(episodes, self.batching.pairs, self.seed)
 
     def _pair_batches(self) -> int:
         """So many that as many pairs are drawn as the target domain has trajectories."""
-        return -(-len(self.episodes(self.target_domain, self.proxy_tasks, "train")) // self.pairs)
+        return -(-len(self.episodes(self.target_domain, self.proxy_tasks, "train")) // self.batching.pairs)
 
     def _held_out_pairs(self, datasets: Mapping[str, DomainDataset]) -> FixedPairs:
         """Of the target domain what is held out; of the source domain too, where that has some of the task."""
         source, target = self.source_domain, self.target_domain
         partners = self.episodes_by_task(source, "train") | self.episodes_by_task(source, "val")
-        return FixedPairs(datasets, {source: partners, target: self.episodes_by_task(target, "val")}, self.pairs)
+        return FixedPairs(
+            datasets, {source: partners, target: self.episodes_by_task(target, "val")}, self.batching.pairs
+        )
 
     def episodes_by_task(self, domain: str, part: Part = "train") -> dict[int, np.ndarray]:
         """Trajectories of a domain's proxy tasks, by task index; tasks without any are left out."""

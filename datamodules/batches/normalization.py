@@ -15,6 +15,8 @@ Scaling = Literal["zscore", "none"] | float
 """How the columns of one observation key are scaled: to zero mean and unit deviation, left raw, or centred
 and multiplied by a number (1/unit). The choice decides success where one unit must be told apart finely."""
 
+CLIP = 5.0
+"""Bound of z-scored columns, in deviations: a contact's velocity spike must not swamp a layer."""
 DEFAULT_KEY = "default"
 
 
@@ -46,14 +48,13 @@ class Affine:
     limit: np.ndarray
 
     @classmethod
-    def build(cls, spec: DomainSpec, statistics: Statistics, scaling: Mapping[str, Scaling], clip: float) -> Affine:
+    def build(cls, spec: DomainSpec, statistics: Statistics, scaling: Mapping[str, Scaling]) -> Affine:
         """What a domain's columns are put through.
 
         Args:
             spec: The domain.
             statistics: Of its raw states.
             scaling: By observation key; ``default`` serves the keys that are not named.
-            clip: Bound of z-scored columns, in deviations; a contact's velocity spike must not swamp a layer.
 
         Raises:
             ConfigError: If ``scaling`` holds a word that is no scaling.
@@ -65,7 +66,7 @@ class Affine:
                 continue
             offset[columns] = statistics.mean[columns]
             if kind == "zscore":
-                scale[columns], limit[columns] = 1 / _floored(statistics.std[columns]), clip
+                scale[columns], limit[columns] = 1 / _floored(statistics.std[columns]), CLIP
             elif isinstance(kind, int | float):
                 scale[columns] = kind
             else:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Mapping, Sequence
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +15,16 @@ import yaml
 from jsonargparse import ArgumentParser, Namespace, set_parsing_settings
 from lightning.pytorch import Callback, Trainer
 
+from datamodules.amounts import Batching, Demonstrations
 from datamodules.errors import ConfigError
+from datamodules.problem import TransferRoles
+from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.transfer import TransferDataModule
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.cli.allowlist import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import explain
+from plp_lightning.cli.layers import Tree, completed, insert, overlay, read_yaml, without_spare_parts
+from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.proxy_tasks import some_proxy_tasks
@@ -28,13 +36,12 @@ from plp_lightning.runs.experiment import (
     PhaseFactory,
     PolicyFactory,
     check_names,
-    check_numbers,
     check_roles,
 )
 
 BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
-LINKED = {"path", "tasks", "proxy_tasks", "target_tasks", "domains", "seed", "collector"}
-"""Arguments of the DataModule that follow from others."""
+SPARE_TERMS = ("mmd", "tcc", "adversarial", "reconstruction")
+"""Alignment terms that pages may set up for the methods that choose them."""
 OURS = {
     "callbacks",
     "logger",
@@ -47,6 +54,30 @@ OURS = {
 """Arguments of the Trainer that a run sets itself."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class DataSettings(Demonstrations, Batching):
+    """Demonstrations of an experiment: of which tasks, how many, where they are, and what a batch holds of them.
+
+    Args:
+        source_domain: Domain whose demonstrations of the target task adapt the policy.
+        target_domain: Domain that the policy is transferred to.
+        target_task: Name of the target task.
+        proxy_goals: Goals that proxy tasks end at; all if not given.
+        root: Folder of trajectory files; PLP_DATA or data if not given.
+        file: Trajectory file; <root>/<experiment>.hdf5 if not given.
+        image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches ask
+            for them. The batches are the same.
+    """
+
+    source_domain: str
+    target_domain: str
+    target_task: str
+    proxy_goals: PositiveInt | None = None
+    root: str | None = None
+    file: str | None = None
+    image_memory: NonNegativeFloat = 4.0
+
+
 def parse(arguments: Sequence[str]) -> Experiment:
     """Read configuration files and overrides, and build the experiment.
 
@@ -56,42 +87,110 @@ def parse(arguments: Sequence[str]) -> Experiment:
     Raises:
         ConfigError: If anything in them is wrong; one line that names it.
     """
-    allow_imports([*ALLOWED_IMPORTS, *option_values(arguments, "allow_imports")])
-    phases = phase_names(arguments)
-    parser = build_parser(phases)
+    allowed = [*ALLOWED_IMPORTS, *option_values(arguments, "allow_imports")]
+    allow_imports(allowed)
+    tree, dropped, flags = resolve(arguments, allowed)
+    parser = build_parser(tree["phases"])
     try:
-        config = parser.parse_args(list(arguments), defaults=True)
+        config = parser.parse_args(["--config", yaml.safe_dump(tree, sort_keys=False), *flags])
     except argparse.ArgumentError as error:
         raise ConfigError(explain(str(error), parser)) from None
-    return build(parser, config, phases)
+    config.experiment = config.experiment or _experiment_name(arguments)
+    return build(parser, config, dropped)
+
+
+def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> tuple[Tree, list[str], list[str]]:
+    """Lay the files over one another, and choose all classes, those that flags name too.
+
+    Returns:
+        The configuration, in which every chosen class is complete; keys of alignment terms that are left away; and the
+        flags that are left for the parser.
+    """
+    contents = _contents(arguments)
+    phases = phase_names(contents.values(), option_values(arguments, "phases"))
+    tree: Tree = {}
+    for path, content in contents.items():
+        renamed, changes = rename(content, phases)
+        _tell(f"{path}", changes)
+        tree = overlay(tree, renamed, allowed)
+    chosen, flags = _class_flags(_flags(arguments, tree), phases)
+    for value in option_values(arguments, "phases"):
+        chosen["phases"] = _read(value)
+    tree = overlay(tree, chosen, allowed)
+    _check_phases(tree, phases)
+    kept, dropped = without_spare_parts(tree, phases, SPARE_TERMS)
+    return completed(kept, allowed), dropped, flags
+
+
+def _contents(arguments: Sequence[str]) -> dict[Path, Tree]:
+    return {path: read_yaml(path) for path in [BASE, *map(Path, option_values(arguments, "config"))]}
+
+
+def _tell(place: str, changes: Sequence[str]) -> None:
+    if changes:
+        more = f", and {len(changes) - 4} more" if len(changes) > 4 else ""
+        print(f"plp: {place}: names have changed: {', '.join(changes[:4])}{more}", file=sys.stderr)
+
+
+def _flags(arguments: Sequence[str], tree: Tree) -> list[str]:
+    """All arguments but ``--config`` and ``--phases``, in today's names."""
+    kept, words = [], iter(arguments)
+    for word in words:
+        if word in ("--config", "--phases"):
+            next(words, None)
+        elif not word.startswith(("--config=", "--phases=")):
+            key, joint, value = word.partition("=")
+            new = f"--{rename_flag(key[2:], tree)}" if key.startswith("--") else key
+            _tell("flags", [] if new == key else [f"{key} is {new}"])
+            kept.append(new + joint + value)
+    return kept
+
+
+def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, list[str]]:
+    """Flags that choose a class, or leave a part away, as a configuration; and the others."""
+    part = rf"policy|{'|'.join(map(re.escape, phases))}|domains\.\w+\.(?:simulator|expert)"
+    place = re.compile(rf"--((?:{part})(?:\.terms\.\w+|\.optimizer|\.lr_scheduler)?)(\.class_path)?")
+    chosen: Tree = {}
+    rest, words = [], iter(flags)
+    for word in words:
+        key, joint, value = word.partition("=")
+        found = place.fullmatch(key)
+        if found is None:
+            rest.append(word)
+            continue
+        content = _read(value if joint else next(words, ""))
+        if found[2] or isinstance(content, str):
+            content = {"class_path": content}
+        insert(chosen, re.sub(r"^(\w+)\.(?=terms|optimizer|lr_scheduler)", r"\1.init_args.", found[1]), content)
+    return chosen, rest
+
+
+def help_parser(arguments: Sequence[str]) -> ArgumentParser:
+    """Parser whose help shows what the given files and flags can be followed by."""
+    return build_parser(phase_names(_contents(arguments).values(), option_values(arguments, "phases")))
 
 
 def build_parser(phases: Sequence[str]) -> ArgumentParser:
     """Parser for an experiment whose method has these phases; each phase is a key of its own."""
-    parser = ArgumentParser(prog="plp fit", exit_on_error=False, default_config_files=[str(BASE)])
+    parser = ArgumentParser(prog="plp fit", exit_on_error=False)
     parser.add_argument("--config", action="config", help="YAML file; give several, later ones win")
     parser.add_argument("--allow_imports", type=str | None, help="package of yours whose classes configs may name")
     parser.add_argument("--experiment", type=str | None, help="name; the first config's file name if not given")
     parser.add_argument("--method", type=str, help="name of the method, for the run directory")
-    parser.add_argument("--seed", type=int, default=0, help="seed of initial weights, batches and evaluation")
-    parser.add_argument("--threads", type=int, default=1, help="threads of torch; simulators use all cores anyway")
+    parser.add_argument("--seed", type=NonNegativeInt, default=0, help="seed of weights, batches and evaluation")
+    parser.add_argument("--threads", type=PositiveInt, default=1, help="threads of torch; simulators use all cores")
     parser.add_argument("--run_root", type=str, default="runs", help="where run directories go")
     parser.add_argument("--domains", type=dict[str, Domain], help="simulator and expert of each domain")
-    parser.add_class_arguments(TransferDataModule, "data", skip=LINKED, instantiate=False)
-    parser.add_argument(
-        "--data.root", type=str | None, help="folder of trajectory files; PLP_DATA or data if not given"
-    )
-    parser.add_argument("--data.file", type=str | None, help="trajectory file; <root>/<experiment>.hdf5 if not given")
-    parser.add_argument("--data.proxy_goals", type=int | None, help="goals that proxy tasks end at; all if not given")
+    parser.add_class_arguments(DataSettings, "data")
     parser.add_class_arguments(CollectionConfig, "collection")
     parser.add_argument("--policy", type=PolicyFactory, help="the policy's class and sizes")
     parser.add_argument("--phases", type=list[str], help="phases of the method, in order; each is a key of its own")
     for name in phases:
-        parser.add_argument(f"--{name}", type=PhaseFactory, help=f"phase {name}: class, losses, epochs, optimiser")
+        parser.add_argument(f"--{name}", type=PhaseFactory, help=f"phase {name}: class, losses, epochs, optimizer")
     parser.add_class_arguments(EvaluationPlan, "evaluation")
-    parser.add_argument("--score", type=AlignmentScore | None, help="alignment score")
+    parser.add_argument("--score", type=list[AlignmentScore], default=[], help="alignment scores")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
-    parser.add_argument("--trainer.max_epochs", type=int | None, help="epochs of every phase, instead of its own")
+    parser.add_argument("--trainer.max_epochs", type=PositiveInt | None, help="epochs of every phase, not its own")
     parser.add_class_arguments(Trainer, "trainer", skip=OURS, instantiate=False)
     return parser
 
@@ -103,11 +202,9 @@ def allow_imports(packages: Sequence[str]) -> None:
     )
 
 
-def phase_names(arguments: Sequence[str]) -> list[str]:
-    """Phases that the given files and flags name; a method that leaves one out still reads pages that set it up."""
-    files = [_read_yaml(Path(path)) for path in [str(BASE), *option_values(arguments, "config")]]
-    lists = [content["phases"] for content in files if "phases" in content]
-    lists += [_read_list(value) for value in option_values(arguments, "phases")]
+def phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:
+    """Phases that files and flags name; a method that leaves one out still reads pages that set it up."""
+    lists = [content["phases"] for content in contents if "phases" in content] + [_read(value) for value in flags]
     for names in lists:
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
             raise ConfigError(f"phases is {names!r}; expected a list of names, such as [alignment, adaptation]")
@@ -120,20 +217,17 @@ def option_values(arguments: Sequence[str], name: str) -> list[str]:
     return [value for a in joined if a.startswith(f"--{name}=") and (value := a.split("=", 1)[1])]
 
 
-def build(parser: ArgumentParser, config: Namespace, phases: Sequence[str]) -> Experiment:
+def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()) -> Experiment:
     """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet.
 
     Args:
         parser: Who parsed it.
         config: The configuration.
-        phases: Phases that are keys of it; those that the method leaves out are dropped.
+        dropped: Keys of alignment terms that are left away: they are null in what is kept of the configuration.
     """
-    config.experiment = config.experiment or _experiment_name(config)
-    _check_phases(config, phases)
-    for name in {*phases} - {*config.phases}:
-        del config[name]
-    check_numbers(dict(config.items()), config.phases)
-    text = parser.dump(config.clone(), skip_unset=False)
+    kept = yaml.safe_load(parser.dump(config.clone(), skip_unset=False))
+    for key in dropped:
+        insert(kept, key, None)
     made = parser.instantiate(config)
     for key in ("domains", "method"):
         if not made[key]:
@@ -146,62 +240,50 @@ def build(parser: ArgumentParser, config: Namespace, phases: Sequence[str]) -> E
         threads=made.threads,
         run_root=Path(made.run_root),
         domains=made.domains,
-        data=_data(made),
+        data=_data(made, made.data),
         policy=made.policy,
         phases={name: made[name] for name in made.phases},
         evaluation=made.evaluation,
-        score=made.score,
+        score=made.score[0] if made.score else None,
         callbacks=made.callbacks,
         trainer=dict(vars(made.trainer)),
-        config=text,
+        config=yaml.safe_dump(kept, sort_keys=False),
     )
 
 
-def _data(made: Namespace) -> TransferDataModule:
-    settings: dict[str, Any] = dict(vars(made.data))
-    root, file = settings.pop("root"), settings.pop("file")
-    check_roles(made.domains, settings["source_domain"], settings["target_domain"])
-    simulator = made.domains[settings["source_domain"]].simulator
-    folder = Path(root or os.environ.get("PLP_DATA", "data"))
-    return TransferDataModule(
-        path=Path(file) if file else folder / f"{made.experiment}.hdf5",
+def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
+    check_roles(made.domains, data.source_domain, data.target_domain)
+    simulator = made.domains[data.source_domain].simulator
+    folder = Path(data.root or os.environ.get("PLP_DATA", "data"))
+    roles = TransferRoles(
+        domains=tuple(made.domains),
+        source_domain=data.source_domain,
+        target_domain=data.target_domain,
         tasks=simulator.tasks,
-        proxy_tasks=some_proxy_tasks(simulator, settings["target_task"], settings.pop("proxy_goals")),
-        target_tasks=simulator.target_tasks(settings["target_task"]),
-        domains=list(made.domains),
-        seed=made.seed,
-        collector=ExpertCollector(made.domains, made.collection),
-        **settings,
+        proxy_tasks=some_proxy_tasks(simulator, data.target_task, data.proxy_goals),
+        target_task=data.target_task,
+        target_tasks=simulator.target_tasks(data.target_task),
     )
+    path = Path(data.file) if data.file else folder / f"{made.experiment}.hdf5"
+    collector = ExpertCollector(made.domains, made.collection)
+    return TransferDataModule(path, roles, data, data, made.seed, data.image_memory, collector)
 
 
-def _check_phases(config: Namespace, phases: Sequence[str]) -> None:
-    known = [name for name in phases if config[name] is not None]
-    unknown = [name for name in config.phases if name not in known]
+def _check_phases(tree: Tree, phases: Sequence[str]) -> None:
+    known = [name for name in phases if (tree.get(name) or {}).get("class_path")]
+    unknown = [name for name in tree["phases"] if name not in known]
     if unknown:
         name, choice = unknown[0], ", ".join(known)
         raise ConfigError(f"phases names {name!r}, which nothing sets up; set {name}.class_path, or name: {choice}")
 
 
-def _experiment_name(config: Namespace) -> str:
-    files = [Path(str(path)) for path in config.config or []]
+def _experiment_name(arguments: Sequence[str]) -> str:
+    files = [Path(path) for path in option_values(arguments, "config")]
     named = [file.stem for file in files if file.parent.name != "methods"]
     return named[0] if named else "unnamed"
 
 
-def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be read ({error.strerror}); name an existing YAML file") from None
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: is no YAML ({' '.join(str(error).split())}); mend the file") from None
-    if content is not None and not isinstance(content, dict):
-        raise ConfigError(f"{path}: holds a {type(content).__name__}; expected keys and values, as in configs/r2r.yaml")
-    return content or {}
-
-
-def _read_list(text: str) -> Any:
+def _read(text: str) -> Any:
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError:

@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from datamodules.errors import ConfigError
-from plp_lightning.cli.config import build_parser, option_values, parse, phase_names
+from plp_lightning.cli.config import help_parser, option_values, parse
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
 from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
@@ -31,7 +31,7 @@ def run_fit(arguments: Sequence[str]) -> None:
     """``plp fit``: a new run, a phase of it, or the rest of an interrupted one."""
     if _asks_for_help(arguments):
         _fit_options().print_help()
-        build_parser(phase_names(arguments)).print_help()
+        help_parser(arguments).print_help()
         return
     options, rest = _fit_options().parse_known_args(list(arguments))
     if options.print_config:
@@ -106,7 +106,7 @@ def run_collect(arguments: Sequence[str]) -> None:
     """``plp collect``: the demonstrations that an experiment lacks, or the training of who demonstrates."""
     if _asks_for_help(arguments):
         _collect_options().print_help()
-        build_parser(phase_names(arguments)).print_help()
+        help_parser(arguments).print_help()
         return
     options, rest = _collect_options().parse_known_args(list(arguments))
     experiment = parse(rest)

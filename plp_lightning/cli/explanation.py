@@ -8,15 +8,9 @@ import re
 from collections.abc import Callable, Iterable
 
 from jsonargparse import ArgumentParser
-from lightning.pytorch import Callback
 
-from plp_lightning.envs.base import Expert, Simulator
-from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.policy import Policy
+from plp_lightning.cli.classes import known_classes
 
-ROOTS = (Policy, Phase, Simulator, Expert, AlignmentScore, Callback)
-"""Classes whose subclasses a configuration names."""
 NEAR = 0.7
 """Similarity from which a known word is offered in place of an unknown one."""
 
@@ -47,13 +41,17 @@ def _unknown_key(place: str, found: re.Match[str], parser: ArgumentParser) -> st
 
 
 def _unknown_class(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
-    names = [kind.__name__ for kind in _classes()]
+    names = [kind.__name__ for kind in known_classes()]
     return f"{place}: unknown class {found[1]!r}; " + _hint(found[1], names, "expected a class or its import path")
 
 
 def _wrong_type(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
     expected = re.sub(r"<class '([\w.]+)'>|typing\.", r"\1", found[1])
     return f"{place} is {found[2]}; expected {expected}; mend the value"
+
+
+def _out_of_bounds(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
+    return f"{place} is {found[1]}; change it"
 
 
 def _no_experiment(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
@@ -66,6 +64,7 @@ COMPLAINTS: list[tuple[str, Callable[[str, re.Match[str], ArgumentParser], str]]
     (r"Group '([^']+)' does not accept option '([^']+)'", _unknown_key),
     (r"unrecognized arguments: (?:--)?([^\s=]+)", _unknown_key),
     (r"Expected a dot import path string: (\S+)", _unknown_class),
+    (r"Not of type \w+: (.+?; expected [^\n|]+?)(?:\. Got value|\n|$)", _out_of_bounds),
     (r"Expected an? (.+?)\. Got value: (.+?)(?:\. Got value|\n|$)", _wrong_type),
     (r"Subtypes: \[([^\n]+)\][\s\S]*Given value: (.+?)(?:\. Got value|\n|$)", _wrong_type),
     (r"arguments are required: (.+)", _no_experiment),
@@ -83,15 +82,5 @@ def _hint(name: str, known: Iterable[str], otherwise: str) -> str:
 
 def _known_words(parser: ArgumentParser) -> set[str]:
     keys = {word for action in parser._actions for word in action.dest.split(".")}
-    arguments = {name for kind in _classes() for name in inspect.signature(kind).parameters}
+    arguments = {name for kind in known_classes() for name in inspect.signature(kind).parameters}
     return keys | arguments | {"init_args", "class_path"}
-
-
-def _classes() -> list[type]:
-    """Every class loaded so far that a configuration may name."""
-    found, waiting = list[type](), list[type](ROOTS)
-    while waiting:
-        kind = waiting.pop()
-        found.append(kind)
-        waiting.extend(kind.__subclasses__())
-    return found

@@ -3,43 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
-import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
+from datamodules.settings import Configured, recipe
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import behavioural_cloning
+from plp_lightning.methods.optimization import OptimizerFactory, PhaseSchedule, SchedulerFactory
 from plp_lightning.methods.policy import Policy
+from plp_lightning.methods.upgrade import upgrade_checkpoint
 
 P = TypeVar("P", bound=Policy)
-Schedule = Literal["constant", "cosine"]
 
 
-def loss_weights(weights: Mapping[str, float]) -> dict[str, float]:
-    """Weights of a phase's losses, by name.
-
-    Raises:
-        ConfigError: If one is below 0: the loss would be made as large as can be.
-    """
-    for name, weight in weights.items():
-        if weight < 0:
-            raise ConfigError(f"the weight of {name} is {weight}; expected 0 or more; set alignment.{name}_weight")
-    return dict(weights)
-
-
-class Phase(LightningModule, Generic[P]):
+class Phase(Configured, LightningModule, Generic[P]):
     """One training stage of a method, run by its own Trainer.
 
     Args:
         policy: The policy to train.
         epochs: Passes over the phase's data.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW; torch's own default is not zero, the paper's is.
-        lr_schedule: ``constant``, or from ``lr`` down to 0 along half a ``cosine`` over all steps of the phase.
+        optimizer: Makes the optimizer of the trained parameters; the paper's is AdamW.
+        lr_scheduler: Makes what changes the learning rate, :class:`CosineDecay` for instance; a constant rate if not
+            given.
 
     Raises:
         ConfigError: If it is a phase for other policies.
@@ -50,8 +39,11 @@ class Phase(LightningModule, Generic[P]):
     batch_spec: BatchSpec = BatchSpec()
     """Which batches the DataModule shall give."""
 
+    monitor: ClassVar[str] = "val/bc"
+    """Held-out loss that the best checkpoint is chosen by."""
+
     def __init__(
-        self, policy: P, epochs: int, lr: float, weight_decay: float = 0.0, lr_schedule: Schedule = "constant"
+        self, policy: P, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None
     ) -> None:
         super().__init__()
         if not isinstance(policy, self.trains):
@@ -59,8 +51,7 @@ class Phase(LightningModule, Generic[P]):
                 f"phase {type(self).__name__} trains a {self.trains.__name__}, found a {type(policy).__name__}; "
                 "choose policy and phases together, as configs/methods do"
             )
-        self.policy = policy
-        self.epochs, self.lr, self.weight_decay, self.lr_schedule = epochs, lr, weight_decay, lr_schedule
+        self.policy, self.epochs, self.optimizer, self.lr_scheduler = policy, epochs, optimizer, lr_scheduler
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
@@ -68,22 +59,27 @@ class Phase(LightningModule, Generic[P]):
         return {}
 
     def trained_parameters(self) -> Iterable[nn.Parameter]:
-        """What the optimiser may change."""
+        """What the optimizer may change."""
         return (parameter for parameter in self.parameters() if parameter.requires_grad)
 
-    def optimizer(self) -> torch.optim.Optimizer:
-        """AdamW (paper, appendix), in its fused form: one pass over all parameters."""
-        parameters = list(self.trained_parameters())
-        return torch.optim.AdamW(parameters, lr=self.lr, weight_decay=self.weight_decay, fused=True)
+    def parameter_groups(self) -> list[Any]:
+        """What the optimizer is made of: the trained parameters, or groups of them with rates of their own."""
+        return list(self.trained_parameters())
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """The optimiser and, unless the rate is constant, what lowers its rate after every step."""
-        optimizer = self.optimizer()
-        if self.lr_schedule == "constant":
+        """Make the optimizer and, unless the rate is constant, what changes its rate."""
+        optimizer = self.optimizer(self.parameter_groups())
+        if self.lr_scheduler is None:
             return optimizer
-        steps = int(self.trainer.estimated_stepping_batches)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+        schedule, interval = self.lr_scheduler(optimizer), "epoch"
+        if isinstance(schedule, PhaseSchedule):
+            steps, epochs = self.trainer.estimated_stepping_batches, self.trainer.max_epochs
+            schedule.span(int(steps), epochs or self.epochs)
+            interval = schedule.interval
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": schedule, "interval": interval, "monitor": self.monitor},
+        }
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Behavioural-cloning loss on held-out trajectories, for each domain."""
@@ -111,7 +107,8 @@ class Phase(LightningModule, Generic[P]):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what rebuilds the policy without the configuration: plain lists, strings and numbers."""
-        checkpoint["policy"] = {
-            "problem": self.policy.problem.to_dict(),
-            "architecture": self.policy.architecture,
-        }
+        checkpoint["policy"] = {"problem": self.policy.problem.to_dict(), **recipe(self.policy, ["problem"])}
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Understand what earlier versions saved."""
+        upgrade_checkpoint(checkpoint)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from datamodules.problem import TransferProblem
+from datamodules.settings import Configured
 from datamodules.types import Actor, Observation
 
 Parts = Mapping[str, Tensor]
@@ -19,17 +19,16 @@ Observations = Mapping[str, Observation[Tensor]]
 """What is seen, by domain."""
 
 
-class Policy(nn.Module, ABC):
+class Policy(Configured, nn.Module, ABC):
     """Acts in the domains, on any of the tasks.
 
     Args:
         problem: Domains and tasks.
-        architecture: What rebuilds the policy beside the problem: plain lists, strings and numbers.
     """
 
-    def __init__(self, problem: TransferProblem, architecture: dict[str, Any]) -> None:
+    def __init__(self, problem: TransferProblem) -> None:
         super().__init__()
-        self.problem, self.architecture = problem, architecture
+        self.problem = problem
         self.domains = {spec.name: spec for spec in problem.domains}
         self.tasks = {name: i for i, name in enumerate(problem.tasks)}
 

@@ -4,13 +4,14 @@ from plp_lightning.networks.columns import DomainColumns, Sharing
 from plp_lightning.networks.frozen import with_frozen_parameters
 from plp_lightning.networks.perceptrons import ActionDecoder, StateEncoder, mlp
 from plp_lightning.networks.scaling import InputScaler
-from plp_lightning.networks.vision import ImageDecoder, ImageEncoder
+from plp_lightning.networks.vision import ImageDecoder, ImageEncoder, ImageEncoding
 
 __all__ = [
     "ActionDecoder",
     "DomainColumns",
     "ImageDecoder",
     "ImageEncoder",
+    "ImageEncoding",
     "InputScaler",
     "Sharing",
     "StateEncoder",

@@ -20,7 +20,6 @@ class InputScaler(nn.Module):
         domains: What each domain looks like.
         statistics: Of raw states, by domain.
         scaling: By observation key.
-        clip: Bound of z-scored columns.
 
     Raises:
         ConfigError: If ``scaling`` names a key that no domain has.
@@ -35,13 +34,12 @@ class InputScaler(nn.Module):
         domains: Sequence[DomainSpec],
         statistics: Mapping[str, Statistics] | None,
         scaling: Mapping[str, Scaling],
-        clip: float,
     ) -> None:
         super().__init__()
         _check_keys(domains, scaling)
         self.rows = {spec.name: (i, spec.state_size) for i, spec in enumerate(domains)}
         known = statistics or {spec.name: Statistics.identity(spec.state_size) for spec in domains}
-        fits = [Affine.build(spec, known[spec.name], scaling, clip) for spec in domains]
+        fits = [Affine.build(spec, known[spec.name], scaling) for spec in domains]
         width = max(spec.state_size for spec in domains)
         for name in ("offset", "scale", "limit"):
             rows = [np.pad(getattr(fit, name), (0, width - len(getattr(fit, name)))) for fit in fits]

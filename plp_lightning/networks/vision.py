@@ -7,17 +7,36 @@ Outside of these modules images are ``(B, H, W, C)``, as cameras and files have 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
+from datamodules.settings import Configured, PositiveInt
 from datamodules.types import DomainSpec, Observation
 
 KERNEL, STRIDE, PADDING = 3, 2, 1
 UNTRAINED_BYTES = 64 * 2**20
 """Activations of one layer that are held at a time where no gradient asks for all of them."""
+
+
+@dataclass(frozen=True)
+class ImageEncoding(Configured):
+    """Sizes of an image encoder, which is built once the images' shape is known.
+
+    Args:
+        channels: Channels of each convolution, which halves the image's sides; without any, images are left aside.
+        features: F, length of the vector that an image becomes.
+    """
+
+    channels: tuple[PositiveInt, ...] = (64, 64, 128, 128, 128)
+    features: PositiveInt = 1024
+
+    def build(self, shape: Sequence[int]) -> ImageEncoder:
+        """An encoder of images ``(H, W, C)``."""
+        return ImageEncoder(shape, self.channels, self.features)
 
 
 class ImageEncoder(nn.Module):
@@ -30,16 +49,12 @@ class ImageEncoder(nn.Module):
         shape: Height, width and colours of an image.
         channels: Of each convolution; each halves the image's sides.
         features: F, length of the vector.
-
-    Raises:
-        ConfigError: If a size is not positive.
     """
 
     coordinates: Tensor
 
     def __init__(self, shape: Sequence[int], channels: Sequence[int], features: int) -> None:
         super().__init__()
-        _check_sizes(channels, features)
         height, width, colours = shape
         self.register_buffer("coordinates", pixel_coordinates(height, width), persistent=False)
         layers: list[nn.Module] = []
@@ -140,11 +155,6 @@ def _lay_out(network: nn.Module) -> None:
 
 def _area(sides: tuple[int, int]) -> int:
     return sides[0] * sides[1]
-
-
-def _check_sizes(channels: Sequence[int], features: int) -> None:
-    if min(*channels, features) < 1:
-        raise ConfigError(f"image_channels is {list(channels)}, image_features {features}; expected at least 1 each")
 
 
 def image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:

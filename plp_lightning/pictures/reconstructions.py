@@ -13,13 +13,14 @@ from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
 from plp_lightning.evaluation.scores import sample_states
 from plp_lightning.methods.plp import Alignment
+from plp_lightning.methods.plp.terms import ImageReconstruction
 from plp_lightning.pictures.publish import publish
 
 ROWS = ("seen", "reconstructed")
 
 
 class ReconstructionPicture(Callback):
-    """Images of proxy tasks, each above its reconstruction, at the end of a phase that has an image decoder.
+    """Draws images of proxy tasks, each above its reconstruction, at the end of a phase that has an image decoder.
 
     Args:
         samples: Images of each domain.
@@ -31,7 +32,7 @@ class ReconstructionPicture(Callback):
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Draw, if this was the last epoch and there is something to draw."""
         last = trainer.current_epoch + 1 == trainer.max_epochs
-        if last and isinstance(pl_module, Alignment) and pl_module.image_decoder is not None:
+        if last and isinstance(pl_module, Alignment) and _decoders(pl_module):
             data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]
             publish(trainer, "reconstructions", reconstruction_figure(reconstructions(pl_module, data, self.samples)))
 
@@ -52,8 +53,13 @@ def reconstructions(phase: Alignment, data: TransferDataModule, count: int) -> d
         spec.name: sample_states(data, spec.name, count) for spec in data.specs if spec.image_key is not None
     }
     latent = phase.policy.encode({d: obs.map(lambda x: x.to(phase.device)) for d, obs in seen.items()})
-    made = {domain: image.float().cpu().numpy() for domain, image in phase.reconstruct(latent).items()}
+    made = {d: image.float().cpu().numpy() for d, image in _decoders(phase)[0].reconstruct(latent).items()}
     return {d: (obs.image.numpy(), made[d]) for d, obs in seen.items() if obs.image is not None}
+
+
+def _decoders(phase: Alignment) -> list[ImageReconstruction]:
+    terms = (term for term in phase.alignment_terms if isinstance(term, ImageReconstruction))
+    return [term for term in terms if term.image_decoder is not None]
 
 
 def reconstruction_figure(pairs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Figure:

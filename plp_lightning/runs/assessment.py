@@ -14,7 +14,7 @@ import torch
 from datamodules.store.atomic import locked_folder, replacing
 from plp_lightning.methods.policy import Policy
 from plp_lightning.runs.experiment import Experiment
-from plp_lightning.runs.fit import load_policy_weights
+from plp_lightning.runs.policies import load_policy_weights
 
 
 @dataclass(frozen=True)

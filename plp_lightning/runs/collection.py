@@ -8,13 +8,14 @@ import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
 from datamodules.errors import UserError
+from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.store.writer import TrajectoryFile, add_trajectories
 from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
@@ -29,7 +30,7 @@ _domains: Mapping[str, Domain] = {}
 
 
 @dataclass(frozen=True)
-class CollectionConfig:
+class CollectionConfig(Configured):
     """How demonstrations are made.
 
     Args:
@@ -42,12 +43,12 @@ class CollectionConfig:
         attempts: Attempts for each wanted demonstration before the expert is called unfit.
     """
 
-    processes: int = 0
-    hold_steps: int = 5
-    noise: float = 0.0
-    random_start_steps: int = 0
-    seed: int = 0
-    attempts: int = 3
+    processes: NonNegativeInt = 0
+    hold_steps: NonNegativeInt = 5
+    noise: NonNegativeFloat = 0.0
+    random_start_steps: NonNegativeInt = 0
+    seed: NonNegativeInt = 0
+    attempts: PositiveInt = 3
 
     def differences(self, other: Mapping[str, object]) -> dict[str, tuple[object, object]]:
         """Settings in which another recipe's demonstrations differ from this one's, as (other's, own).
@@ -158,7 +159,7 @@ class ExpertCollector:
     def _provenance(self) -> dict[str, object]:
         experts = {name: type(domain.expert).__name__ for name, domain in self.domains.items()}
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        return {"command": command, "recipe": vars(self.recipe), "experts": experts, "versions": versions()}
+        return {"command": command, "recipe": asdict(self.recipe), "experts": experts, "versions": versions()}
 
 
 def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:

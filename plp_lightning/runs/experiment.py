@@ -12,6 +12,7 @@ from lightning.pytorch import Callback
 
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
+from datamodules.settings import Configured, NonNegativeInt, PositiveInt
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.evaluation.scores import AlignmentScore
@@ -24,7 +25,7 @@ PhaseFactory = Callable[[Policy], Phase[Any]]
 
 
 @dataclass(frozen=True)
-class EvaluationPlan:
+class EvaluationPlan(Configured):
     """When and how much to evaluate in the simulators.
 
     Args:
@@ -40,15 +41,15 @@ class EvaluationPlan:
         films: Episodes of the target task in each domain's film, failures first; 0 films none.
     """
 
-    every_n_epochs: dict[str, int] = field(default_factory=dict)
-    episodes: int = 20
-    final_episodes: int = 100
-    score_every_n_epochs: int = 5
-    latent_states: int = 500
-    latent_every_n_epochs: int = 0
-    latent_pairs: int = 20
-    reconstructions: int = 8
-    films: int = 6
+    every_n_epochs: dict[str, NonNegativeInt] = field(default_factory=dict)
+    episodes: PositiveInt = 20
+    final_episodes: PositiveInt = 100
+    score_every_n_epochs: NonNegativeInt = 5
+    latent_states: NonNegativeInt = 500
+    latent_every_n_epochs: NonNegativeInt = 0
+    latent_pairs: NonNegativeInt = 20
+    reconstructions: NonNegativeInt = 8
+    films: NonNegativeInt = 6
 
 
 @dataclass(frozen=True)
@@ -129,55 +130,8 @@ class Experiment:
         return scores | self.score.of_target(policy, self.data, self.simulators)
 
 
-LEAST: Mapping[str, float] = {
-    "seed": 0,
-    "threads": 1,
-    "data.trajectories": 1,
-    "data.source_trajectories": 1,
-    "data.target_trajectories": 1,
-    "data.proxy_goals": 1,
-    "data.val_fraction": 0,
-    "data.batch_size": 1,
-    "data.pairs": 1,
-    "data.tasks_per_batch": 1,
-    "data.stride": 1,
-    "data.mix": 0,
-    "data.image_memory": 0,
-    "collection.attempts": 1,
-    "policy.init_args.latent": 1,
-    "policy.init_args.hidden": 1,
-    "evaluation.episodes": 1,
-    "evaluation.final_episodes": 1,
-    "evaluation.latent_states": 0,
-    "evaluation.latent_every_n_epochs": 0,
-    "evaluation.latent_pairs": 0,
-    "evaluation.reconstructions": 0,
-    "evaluation.films": 0,
-    "trainer.max_epochs": 1,
-}
-"""Smallest meaningful value of settings."""
-LEAST_IN_PHASE: Mapping[str, float] = {"init_args.epochs": 1, "init_args.lr": 0, "init_args.weight_decay": 0}
 NAME = re.compile(r"(?!\.+$)[\w.-]{1,64}", re.ASCII)
 """What can name a folder: no separators, no way out of the folder above."""
-
-
-def check_numbers(settings: Mapping[str, Any], phases: Sequence[str]) -> None:
-    """Every number has to be one that training can begin with.
-
-    Args:
-        settings: By dotted key.
-        phases: Names of the phases, which are keys too.
-
-    Raises:
-        ConfigError: If one is too small, or no trajectory would be left to train on.
-    """
-    least = {**LEAST, **{f"{name}.{key}": value for name in phases for key, value in LEAST_IN_PHASE.items()}}
-    for key, bound in least.items():
-        found = settings.get(key)
-        if found is not None and not found >= bound:
-            raise ConfigError(f"--{key} is {found}; expected at least {bound}; raise it")
-    if settings["data.val_fraction"] >= 1:
-        raise ConfigError(f"--data.val_fraction is {settings['data.val_fraction']}; expected a share below 1; lower it")
 
 
 def check_names(names: Mapping[str, str]) -> None:

@@ -6,7 +6,7 @@ import copy
 import hashlib
 import logging
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.runs.phase_progress import PhaseProgress
+from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.stopwatch import Stopwatch
@@ -212,24 +213,6 @@ def assess(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str
     scores = experiment.alignment(policy)
     pictures.publish(trainer)
     return {"trials": {name: found.to_dict() for name, found in outcomes.items()}, "alignment": scores}
-
-
-def load_policy_weights(policy: Policy, checkpoint: Path) -> None:
-    """Put the weights, scaling included, of a phase's checkpoint into ``policy``.
-
-    Raises:
-        CheckpointError: If it is of a policy with other domains, tasks or sizes.
-    """
-    content = read_checkpoint(checkpoint)
-    prefix = "policy."
-    state: Mapping[str, torch.Tensor] = content["state_dict"]
-    try:
-        policy.load_state_dict({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
-    except RuntimeError as error:
-        found = str(error).strip().splitlines()[-1].strip()
-        raise CheckpointError(
-            f"{checkpoint}: is of another policy ({found}); use the configuration that it was trained with"
-        ) from None
 
 
 def _step_of(checkpoint: Path) -> int:

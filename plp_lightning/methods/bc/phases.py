@@ -7,10 +7,12 @@ from typing import Literal
 from torch import Tensor
 
 from datamodules.errors import ConfigError
+from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.bc.policy import BCPolicy
-from plp_lightning.methods.phase import Phase, Schedule
+from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.phase import Phase
 
 
 class BCCloning(Phase[BCPolicy]):
@@ -20,9 +22,8 @@ class BCCloning(Phase[BCPolicy]):
         policy: The policy to train.
         bc_reduction: Over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate; the paper names none.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
         domains: Whose demonstrations are learnt; of all domains if not given. One alone tells whether its
             demonstrations can be cloned.
 
@@ -37,13 +38,12 @@ class BCCloning(Phase[BCPolicy]):
         self,
         policy: BCPolicy,
         bc_reduction: Literal["mean", "sum"] = "mean",
-        epochs: int = 100,
-        lr: float = 1e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        epochs: PositiveInt = 100,
+        optimizer: OptimizerFactory = FusedAdamW,
+        lr_scheduler: SchedulerFactory | None = None,
         domains: list[str] | None = None,
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         unknown = sorted({*(domains or [])} - policy.domains.keys())
         if unknown or domains == []:
             raise ConfigError(f"domains is {domains}; expected some of: {', '.join(policy.domains)}")
@@ -73,9 +73,8 @@ class BCAdaptation(BCCloning):
         policy: The policy that has learnt the proxy tasks.
         bc_reduction: Over action dimensions: ``mean`` or ``sum``.
         epochs: Passes over the target task's data and its mix.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate; the paper names none.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec("mix")
@@ -84,9 +83,8 @@ class BCAdaptation(BCCloning):
         self,
         policy: BCPolicy,
         bc_reduction: Literal["mean", "sum"] = "mean",
-        epochs: int = 50,
-        lr: float = 1e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        epochs: PositiveInt = 50,
+        optimizer: OptimizerFactory = FusedAdamW,
+        lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
-        super().__init__(policy, bc_reduction, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, bc_reduction, epochs, optimizer, lr_scheduler)

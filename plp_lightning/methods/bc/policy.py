@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
+from datamodules.settings import NonNegativeFloat, PositiveInt
 from plp_lightning.methods.policy import Observations, Parts, Policy
-from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoder, InputScaler, Sharing
+from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoding, InputScaler, Sharing
 from plp_lightning.networks.vision import encode_images, image_shape
 
 
@@ -27,9 +26,7 @@ class BCPolicy(Policy):
         gradient_floor: Least slope of the final tanh in the backward pass; 0 is the plain tanh.
         columns: Of states and actions: each domain's ``own``, or ``shared`` by all.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        clip: Bound of z-scored inputs, in deviations.
-        image_channels: Of each convolution of the image encoder; without any, the policy is blind.
-        image_features: Length of the vector that an image becomes.
+        image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:
         ConfigError: If a size is wrong, or the domains' images differ in shape.
@@ -38,33 +35,21 @@ class BCPolicy(Policy):
     def __init__(
         self,
         problem: TransferProblem,
-        hidden: int = 192,
-        layers: int = 10,
-        gradient_floor: float = 0.1,
+        hidden: PositiveInt = 192,
+        layers: PositiveInt = 10,
+        gradient_floor: NonNegativeFloat = 0.1,
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
-        clip: float = 5.0,
-        image_channels: Sequence[int] = (64, 64, 128, 128, 128),
-        image_features: int = 1024,
+        image_encoder: ImageEncoding = ImageEncoding(),
     ) -> None:
-        architecture = {
-            "hidden": hidden,
-            "layers": layers,
-            "gradient_floor": gradient_floor,
-            "columns": columns,
-            "scaling": scaling,
-            "clip": clip,
-            "image_channels": list(image_channels),
-            "image_features": image_features,
-        }
-        super().__init__(problem, architecture)
+        super().__init__(problem)
         domains = problem.domains
-        self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
+        self.scaler = InputScaler(domains, problem.statistics, scaling or {})
         self.states = DomainColumns({spec.name: spec.state_size for spec in domains}, columns)
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
-        shape = image_shape(domains) if image_channels else None
-        self.image_encoder = None if shape is None else ImageEncoder(shape, image_channels, image_features)
-        seen = self.states.width + len(domains) + (0 if shape is None else image_features)
+        shape = image_shape(domains) if image_encoder.channels else None
+        self.image_encoder = None if shape is None else image_encoder.build(shape)
+        seen = self.states.width + len(domains) + (0 if shape is None else image_encoder.features)
         self.net = ActionDecoder(len(problem.tasks), seen, self.actions.width, hidden, layers, gradient_floor)
 
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from datamodules.errors import ConfigError
+from datamodules.settings import Configured, NonNegativeFloat, PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses.r1_penalty import r1_penalty
 from plp_lightning.methods.cdil.losses import (
@@ -20,7 +21,7 @@ from plp_lightning.methods.cdil.losses import (
 from plp_lightning.methods.cdil.networks import OTHER, Role, TaskNetwork
 from plp_lightning.methods.cdil.phases import CdilPhase
 from plp_lightning.methods.cdil.policy import CdilPolicy
-from plp_lightning.methods.phase import loss_weights
+from plp_lightning.methods.optimization import FusedAdamW, LinearDecay, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
 from plp_lightning.networks import with_frozen_parameters
 
@@ -51,6 +52,25 @@ class RoundTrip(NamedTuple):
     """Back again, ``(B, O)``."""
 
 
+@dataclass(frozen=True)
+class CdilWeights(Configured):
+    """Weights of the translation's losses.
+
+    Args:
+        adversarial: Of the translator's loss against the discriminators.
+        cycle: Of the cycle x → y → x, and its mirror image.
+        latent: Of the latent cycle.
+        position: Of the consistency of temporal positions.
+        penalty: γ of the penalty on the discriminators' slopes, so that they can't become certain.
+    """
+
+    adversarial: NonNegativeFloat = 10.0
+    cycle: NonNegativeFloat = 10.0
+    latent: NonNegativeFloat = 1.0
+    position: NonNegativeFloat = 1.0
+    penalty: NonNegativeFloat = 0.1
+
+
 class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
     """Adversarial translation that is consistent in cycles, latent cycles and temporal position (CDIL's second step).
 
@@ -62,26 +82,17 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
 
     Args:
         policy: The policy with trained position models.
-        adversarial_weight: Of the translator's loss against the discriminators.
-        cycle_weight: Of the cycle x → y → x, and its mirror image.
-        latent_weight: Of the latent cycle.
-        position_weight: Of the consistency of temporal positions.
+        weights: Of the losses.
         noise: Deviation of Gaussian noise on what discriminators see, real or not. Two states that follow each other
             obey the physics to the last digit, and translated ones never do: without noise that gives them away, and
             the discriminators have nothing to teach.
-        penalty_weight: γ of the penalty on the discriminators' slopes, to the same end.
         discriminator_layers: Hidden layers of each discriminator.
         discriminator_hidden: Units in its hidden layers.
-        discriminator_lr: Learning rate of the discriminators; None is ``lr``.
-        first_moment: β₁ of AdamW, for all players.
-        slowdown: Share of the epochs, at the end, over which all rates fall to 0 in a line; players who never slow
-            down go on circling around each other.
+        discriminator_lr: Learning rate of the discriminators; that of the translator if not given.
         epochs: Passes over all data that there is.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-
-    Raises:
-        ConfigError: If a weight is below 0, or ``slowdown`` no share.
+        optimizer: Makes the optimizer of all players.
+        lr_scheduler: Makes what changes the learning rates; players who never slow down go on circling around each
+            other.
     """
 
     batch_spec = BatchSpec("all", images=False, course=True)
@@ -91,29 +102,18 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
     def __init__(
         self,
         policy: CdilPolicy,
-        adversarial_weight: float = 10.0,
-        cycle_weight: float = 10.0,
-        latent_weight: float = 1.0,
-        position_weight: float = 1.0,
-        noise: float = 0.1,
-        penalty_weight: float = 0.1,
-        discriminator_layers: int = 3,
-        discriminator_hidden: int = 192,
-        discriminator_lr: float | None = None,
-        first_moment: float = 0.5,
-        slowdown: float = 0.5,
-        epochs: int = 20,
-        lr: float = 5e-4,
-        weight_decay: float = 0.0,
+        weights: CdilWeights = CdilWeights(),
+        noise: NonNegativeFloat = 0.1,
+        discriminator_layers: PositiveInt = 3,
+        discriminator_hidden: PositiveInt = 192,
+        discriminator_lr: NonNegativeFloat | None = None,
+        epochs: PositiveInt = 20,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4, first_moment=0.5),
+        lr_scheduler: SchedulerFactory | None = lambda optimizer: LinearDecay(optimizer),
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay)
-        if not 0 <= slowdown <= 1:
-            raise ConfigError(f"alignment.slowdown is {slowdown}; expected a share from 0 to 1; set one")
-        weights = {"adversarial": adversarial_weight, "cycle": cycle_weight, "latent": latent_weight}
-        weights |= {"position": position_weight, "discriminator": 1.0, "penalty": penalty_weight}
-        self.weights = loss_weights(weights)
-        self.discriminator_lr = lr if discriminator_lr is None else discriminator_lr
-        self.first_moment, self.slowdown, self.noise = first_moment, slowdown, noise
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
+        self.weights = {"discriminator": 1.0, **asdict(weights)}
+        self.discriminator_lr, self.noise = discriminator_lr, noise
         sizes = {role: policy.perception.sizes[domain] for domain, role in policy.roles.items()}
         tasks, hidden, layers = len(policy.tasks), discriminator_hidden, discriminator_layers
         self.discriminators = nn.ModuleDict(
@@ -121,14 +121,13 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         )
         self.register_buffer("shared", torch.ones(tasks), persistent=False)
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """One AdamW for all players, whose losses reach nobody else's parameters."""
-        groups = [
-            {"params": [*self.policy.translator.parameters()], "lr": self.lr},
-            {"params": [*self.discriminators.parameters()], "lr": self.discriminator_lr},
+    def parameter_groups(self) -> list[Any]:
+        """Translator and discriminators: losses of either reach nobody else's parameters."""
+        rate = {} if self.discriminator_lr is None else {"lr": self.discriminator_lr}
+        return [
+            {"params": [*self.policy.translator.parameters()]},
+            {"params": [*self.discriminators.parameters()], **rate},
         ]
-        betas = (self.first_moment, 0.999)
-        return torch.optim.AdamW(groups, betas=betas, weight_decay=self.weight_decay, fused=True)
 
     def on_fit_start(self) -> None:
         """Perceive every step, measure how fast states change, note which tasks are demonstrated in both domains."""
@@ -137,13 +136,6 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
             self.policy.pace.fit(self.usual_change(domain), role)
         proxy_tasks = self.trainer.datamodule.proxy_tasks  # type: ignore[attr-defined]
         self.shared.copy_(torch.tensor([float(task in proxy_tasks) for task in self.policy.tasks]))
-
-    def on_train_epoch_start(self) -> None:
-        """Slow down, once it is time to."""
-        epochs = self.trainer.max_epochs or self.epochs
-        share = slowed(self.current_epoch, epochs, self.slowdown)
-        for group, rate in zip(self.trainer.optimizers[0].param_groups, (self.lr, self.discriminator_lr), strict=True):
-            group["lr"] = rate * share
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """All terms, each the sum of both directions."""
@@ -213,21 +205,3 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
     def _position_gap(self, own: StatePairs, trip: RoundTrip, role: Role) -> Tensor:
         here = self.policy.position(own.states[0], own.task, role).detach()
         return position_gap(here, self.policy.position(trip.abroad[0], own.task, OTHER[role]), own.shared)
-
-
-def slowed(epoch: int, epochs: int, slowdown: float) -> float:
-    """Share of the learning rate in an epoch: 1 at first, then falling in a line that meets 0 after the last epoch.
-
-    See "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
-    (https://arxiv.org/abs/1703.10593), appendix on training details, where ``slowdown`` is 1/2.
-
-    Args:
-        epoch: From 0 on.
-        epochs: How many there are.
-        slowdown: Share of them that the fall takes.
-
-    Example:
-        >>> [slowed(epoch, 4, 0.5) for epoch in range(4)]
-        [1.0, 1.0, 1.0, 0.5]
-    """
-    return min(1.0, (epochs - epoch) / (slowdown * epochs)) if slowdown > 0 else 1.0

@@ -8,10 +8,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses.weighted_mean import weighted_mean
 from plp_lightning.methods.cdil.networks import Role
 from plp_lightning.methods.cdil.policy import CdilPolicy
+from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
 from plp_lightning.methods.translation.perception import PointReconstruction
@@ -68,8 +70,8 @@ class CdilPositions(CdilPhase):
         policy: The policy to train.
         reconstruction_hidden: Units of the image decoders' hidden layer.
         epochs: Passes over the proxy data.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec(course=True)
@@ -78,12 +80,12 @@ class CdilPositions(CdilPhase):
     def __init__(
         self,
         policy: CdilPolicy,
-        reconstruction_hidden: int = 256,
-        epochs: int = 10,
-        lr: float = 5e-4,
-        weight_decay: float = 0.0,
+        reconstruction_hidden: PositiveInt = 256,
+        epochs: PositiveInt = 10,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.redrawing = PointReconstruction(policy.perception, reconstruction_hidden)
 
     @property
@@ -111,15 +113,21 @@ class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
     Args:
         policy: The policy to train.
         epochs: Passes over the proxy data, of both domains as batches have it; the source's go unused.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec(images=False, course=True)
     parts_trained = ("inverse_dynamics",)
 
-    def __init__(self, policy: CdilPolicy, epochs: int = 10, lr: float = 5e-4, weight_decay: float = 0.0) -> None:
-        super().__init__(policy, epochs, lr, weight_decay)
+    def __init__(
+        self,
+        policy: CdilPolicy,
+        epochs: PositiveInt = 10,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = None,
+    ) -> None:
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """Squared error of the target's actions; the last step of a trajectory shows no result of its action."""
@@ -155,15 +163,21 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
     Args:
         policy: The policy with everything else trained.
         epochs: Passes over the target task's data and its mix.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec("mix", images=False)
     parts_trained = ("clones",)
 
-    def __init__(self, policy: CdilPolicy, epochs: int = 50, lr: float = 5e-4, weight_decay: float = 0.0) -> None:
-        super().__init__(policy, epochs, lr, weight_decay)
+    def __init__(
+        self,
+        policy: CdilPolicy,
+        epochs: PositiveInt = 50,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = None,
+    ) -> None:
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.imagined: Imagined | None = None
 
     def on_fit_start(self) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
+from datamodules.settings import PositiveInt
 from plp_lightning.methods.cdil.networks import Pace, Role, TaskNetwork, Translator
 from plp_lightning.methods.policy import Observations, Parts
 from plp_lightning.methods.translation.policy import TranslatingPolicy
@@ -29,7 +28,6 @@ class CdilPolicy(TranslatingPolicy):
         policy_layers: Hidden layers of position models, inverse dynamics and clones.
         decoder_layers: Hidden layers of the translation's decoders.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        clip: Bound of z-scored inputs, in deviations.
         image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
             the policy is blind: it leaves images aside.
 
@@ -40,26 +38,15 @@ class CdilPolicy(TranslatingPolicy):
     def __init__(
         self,
         problem: TransferProblem,
-        latent: int = 192,
-        hidden: int = 192,
-        encoder_layers: int = 3,
-        policy_layers: int = 3,
-        decoder_layers: int = 3,
+        latent: PositiveInt = 192,
+        hidden: PositiveInt = 192,
+        encoder_layers: PositiveInt = 3,
+        policy_layers: PositiveInt = 3,
+        decoder_layers: PositiveInt = 3,
         scaling: dict[str, Scaling] | None = None,
-        clip: float = 5.0,
-        image_channels: Sequence[int] = (32, 32, 16),
+        image_channels: tuple[PositiveInt, ...] = (32, 32, 16),
     ) -> None:
-        architecture = {
-            "latent": latent,
-            "hidden": hidden,
-            "encoder_layers": encoder_layers,
-            "policy_layers": policy_layers,
-            "decoder_layers": decoder_layers,
-            "scaling": scaling,
-            "clip": clip,
-            "image_channels": list(image_channels),
-        }
-        super().__init__(problem, architecture, scaling, clip, image_channels)
+        super().__init__(problem, scaling, image_channels)
         self.roles: dict[str, Role] = {self.source: "source", self.target: "target"}
         sizes = {role: self.perception.sizes[domain] for domain, role in self.roles.items()}
         actions = {role: self.domains[domain].action_size for domain, role in self.roles.items()}

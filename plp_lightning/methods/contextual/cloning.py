@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor
 
+from datamodules.settings import PositiveInt
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.contextual.policy import ContextualPolicy, first_frames, last_frames
-from plp_lightning.methods.phase import Phase, Schedule
+from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.phase import Phase
 
 
 class ContextualCloning(Phase[ContextualPolicy]):
@@ -23,9 +25,8 @@ class ContextualCloning(Phase[ContextualPolicy]):
     Args:
         policy: The policy to train.
         epochs: Passes over as many pairs as the target domain has trajectories.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: ``constant``, or down to 0 along half a ``cosine``.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     trains = ContextualPolicy
@@ -33,12 +34,11 @@ class ContextualCloning(Phase[ContextualPolicy]):
     def __init__(
         self,
         policy: ContextualPolicy,
-        epochs: int = 500,
-        lr: float = 1e-3,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        epochs: PositiveInt = 500,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=1e-3),
+        lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.batch_spec = BatchSpec("none", pairs="whole", images=policy.sees)
 
     def on_fit_start(self) -> None:

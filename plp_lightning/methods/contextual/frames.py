@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from datamodules.types import DomainSpec, Observation
-from plp_lightning.networks import ImageEncoder
+from plp_lightning.networks import ImageEncoder, ImageEncoding
 
 MOST_IMAGES = 512
 """Images whose activations training holds at a time: whole trajectories have thousands of frames."""
 POSITION_SCALE = 0.02
 """Standard deviation of the positions in the beginning."""
-
-
-class Images(NamedTuple):
-    """How images become vectors."""
-
-    channels: tuple[int, ...]
-    """Of each convolution; empty if images are left aside."""
-    features: int
-    """Length of the vector."""
 
 
 class FrameEmbedding(nn.Module):
@@ -35,14 +24,16 @@ class FrameEmbedding(nn.Module):
         width: W.
         length: Most steps of a sequence.
         dropout: Share of units that training leaves out.
-        images: How images become vectors, in a domain with a camera.
+        images: Sizes of the image encoder, in a domain with a camera.
     """
 
-    def __init__(self, spec: DomainSpec, actions: int, width: int, length: int, dropout: float, images: Images) -> None:
+    def __init__(
+        self, spec: DomainSpec, actions: int, width: int, length: int, dropout: float, images: ImageEncoding
+    ) -> None:
         super().__init__()
         camera = spec.image_key if images.channels else None
         shape = None if camera is None else camera.shape
-        self.image_encoder = None if shape is None else ImageEncoder(shape, images.channels, images.features)
+        self.image_encoder = None if shape is None else images.build(shape)
         inputs = spec.state_size + actions + (0 if camera is None else images.features)
         self.linear = nn.Linear(inputs, width)
         self.position = nn.Embedding(length, width)
@@ -60,11 +51,11 @@ class FrameEmbedding(nn.Module):
         parts = [observation.state] if action is None else [observation.state, action]
         if self.image_encoder is not None:
             assert observation.image is not None, "expected images"
-            parts.append(self._see(self.image_encoder, observation.image))
+            parts.append(self._encode_images(self.image_encoder, observation.image))
         embedded: Tensor = self.dropout(self.linear(torch.cat(parts, dim=1)) + self.position(time))
         return embedded
 
-    def _see(self, encoder: ImageEncoder, image: Tensor) -> Tensor:
+    def _encode_images(self, encoder: ImageEncoder, image: Tensor) -> Tensor:
         """Features ``(F, features)``; of many images the activations are computed again in the backward pass."""
         if not torch.is_grad_enabled() or len(image) <= MOST_IMAGES:
             features: Tensor = encoder(image)

@@ -15,13 +15,14 @@ from torch import Tensor, nn
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
+from datamodules.settings import Fraction, PositiveInt
 from datamodules.types import Actor, DomainSpec, Observation, PackedTrajectories
-from plp_lightning.methods.contextual.frames import FrameEmbedding, Images
+from plp_lightning.methods.contextual.frames import FrameEmbedding
 from plp_lightning.methods.contextual.packing import Packing
 from plp_lightning.methods.contextual.prompts import Prompts
 from plp_lightning.methods.contextual.transformer import Cache, TransformerDecoder, TransformerEncoder
 from plp_lightning.methods.policy import Observations, Parts, Policy
-from plp_lightning.networks.scaling import InputScaler
+from plp_lightning.networks import ImageEncoding, InputScaler
 
 MOST_ROWS = 256
 """Episodes that are begun together where only their first step is asked for."""
@@ -41,9 +42,7 @@ class ContextualPolicy(Policy):
         max_length: Most steps of an episode or a demonstration. Of longer demonstrations the last steps are shown,
             of longer episodes the first are trained on.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        clip: Bound of z-scored inputs, in deviations.
-        image_channels: Of each convolution of a domain's image encoder; without any, the policy is blind.
-        image_features: Length of the vector that an image becomes.
+        image_encoder: Sizes of either domain's image encoder; without channels the policy is blind.
 
     Raises:
         ConfigError: If a size is wrong, or there are more than two domains.
@@ -52,42 +51,25 @@ class ContextualPolicy(Policy):
     def __init__(
         self,
         problem: TransferProblem,
-        hidden: int = 256,
-        heads: int = 8,
-        encoder_layers: int = 3,
-        decoder_layers: int = 3,
-        feed_forward: int = 1024,
-        dropout: float = 0.2,
-        max_length: int = 1200,
+        hidden: PositiveInt = 256,
+        heads: PositiveInt = 8,
+        encoder_layers: PositiveInt = 3,
+        decoder_layers: PositiveInt = 3,
+        feed_forward: PositiveInt = 1024,
+        dropout: Fraction = 0.2,
+        max_length: PositiveInt = 1200,
         scaling: dict[str, Scaling] | None = None,
-        clip: float = 5.0,
-        image_channels: Sequence[int] = (64, 64, 128, 128, 128),
-        image_features: int = 1024,
+        image_encoder: ImageEncoding = ImageEncoding(),
     ) -> None:
-        architecture = {
-            "hidden": hidden,
-            "heads": heads,
-            "encoder_layers": encoder_layers,
-            "decoder_layers": decoder_layers,
-            "feed_forward": feed_forward,
-            "dropout": dropout,
-            "max_length": max_length,
-            "scaling": scaling,
-            "clip": clip,
-            "image_channels": list(image_channels),
-            "image_features": image_features,
-        }
-        super().__init__(problem, architecture)
-        _check(problem, hidden, heads, dropout, {"encoder_layers": encoder_layers, "decoder_layers": decoder_layers})
-        _check_least({"feed_forward": feed_forward, "max_length": max_length})
+        super().__init__(problem)
+        _check(problem, hidden, heads)
         self.max_length = max_length
         self.source, self.target = self.domains[problem.source_domain], self.domains[problem.target_domain]
-        self.sees = bool(image_channels) and any(spec.image_key is not None for spec in problem.domains)
-        self.scaler = InputScaler(problem.domains, problem.statistics, scaling or {}, clip)
-        images = Images(tuple(image_channels), image_features)
+        self.sees = bool(image_encoder.channels) and any(spec.image_key is not None for spec in problem.domains)
+        self.scaler = InputScaler(problem.domains, problem.statistics, scaling or {})
         self.prompts = Prompts(self.source, problem.tasks, self.sees)
-        self.shown = FrameEmbedding(self.source, self.source.action_size, hidden, max_length, dropout, images)
-        self.seen = FrameEmbedding(self.target, 0, hidden, max_length, dropout, images)
+        self.shown = FrameEmbedding(self.source, self.source.action_size, hidden, max_length, dropout, image_encoder)
+        self.seen = FrameEmbedding(self.target, 0, hidden, max_length, dropout, image_encoder)
         self.encoder = TransformerEncoder(hidden, heads, encoder_layers, feed_forward, dropout)
         self.decoder = TransformerDecoder(hidden, heads, decoder_layers, feed_forward, dropout)
         self.head = nn.Linear(hidden, self.target.action_size)
@@ -132,7 +114,7 @@ class ContextualPolicy(Policy):
         """
         if cache.steps == self.max_length:
             raise ConfigError(
-                f"--policy.init_args.max_length is {self.max_length}; expected at least the steps of an episode in "
+                f"ContextualPolicy.max_length is {self.max_length}; expected at least the steps of an episode in "
                 f"domain {self.target.name!r}, which are more; raise it and train again"
             )
         time = torch.full((len(observation.state),), cache.steps, device=observation.state.device)
@@ -196,23 +178,14 @@ def _chosen(sequences: PackedTrajectories, frame: Tensor, mask: Tensor) -> Packe
     return PackedTrajectories(sequences.observation.take(rows), anew, mask, sequences.action[rows])
 
 
-def _check(problem: TransferProblem, hidden: int, heads: int, dropout: float, layers: dict[str, int]) -> None:
+def _check(problem: TransferProblem, hidden: int, heads: int) -> None:
     names = [spec.name for spec in problem.domains]
     if len(names) != 2:
         raise ConfigError(
             f"found the domains {', '.join(names)}; a ContextualPolicy is shown {problem.source_domain!r} and acts in "
             f"{problem.target_domain!r}: expected these two, drop the others or choose another method"
         )
-    _check_least({"heads": heads, **layers})
     if hidden % heads:
         raise ConfigError(
-            f"--policy.init_args.hidden is {hidden}; expected a multiple of heads, which is {heads}; change one of them"
+            f"ContextualPolicy.hidden is {hidden}; expected a multiple of heads, which is {heads}; change one of them"
         )
-    if not 0 <= dropout < 1:
-        raise ConfigError(f"--policy.init_args.dropout is {dropout}; expected a share from 0 to below 1; change it")
-
-
-def _check_least(counts: dict[str, int]) -> None:
-    for name, count in counts.items():
-        if count < 1:
-            raise ConfigError(f"--policy.init_args.{name} is {count}; expected at least 1; raise it")

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from datamodules.settings import NonNegativeFloat, PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.losses.r1_penalty import r1_penalty
@@ -18,7 +19,8 @@ from plp_lightning.methods.gama.losses import (
 )
 from plp_lightning.methods.gama.networks import TransitionDiscriminator
 from plp_lightning.methods.gama.policy import GamaPolicy
-from plp_lightning.methods.phase import Phase, Schedule, loss_weights
+from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
 from plp_lightning.methods.translation.perception import PointReconstruction
 from plp_lightning.networks import with_frozen_parameters
@@ -34,9 +36,8 @@ class GamaPretraining(Phase[GamaPolicy]):
         policy: The policy to train.
         reconstruction_hidden: Units of the image decoder's hidden layer.
         epochs: Passes over the proxy data, counted in samples of both domains together.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     trains = GamaPolicy
@@ -45,13 +46,12 @@ class GamaPretraining(Phase[GamaPolicy]):
     def __init__(
         self,
         policy: GamaPolicy,
-        reconstruction_hidden: int = 256,
-        epochs: int = 20,
-        lr: float = 5e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        reconstruction_hidden: PositiveInt = 256,
+        epochs: PositiveInt = 20,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.redrawing = PointReconstruction(policy.perception, reconstruction_hidden)
 
     @property
@@ -120,12 +120,8 @@ class GamaAlignment(GamaPhase):
         discriminator_lr: Learning rate of the discriminator.
         dynamics_lr: Learning rate of the dynamics.
         epochs: Passes over the proxy data, counted in samples of both domains together.
-        lr: Learning rate of both maps.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of all learning rates.
-
-    Raises:
-        ConfigError: If a weight is below 0.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec(images=False, course=True)
@@ -133,19 +129,18 @@ class GamaAlignment(GamaPhase):
     def __init__(
         self,
         policy: GamaPolicy,
-        adversarial_weight: float = 0.5,
-        penalty_weight: float = 1.0,
-        discriminator_layers: int = 2,
-        discriminator_hidden: int = 192,
-        discriminator_lr: float = 1e-4,
-        dynamics_lr: float = 1e-4,
-        epochs: int = 20,
-        lr: float = 1e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        adversarial_weight: NonNegativeFloat = 0.5,
+        penalty_weight: NonNegativeFloat = 1.0,
+        discriminator_layers: PositiveInt = 2,
+        discriminator_hidden: PositiveInt = 192,
+        discriminator_lr: NonNegativeFloat = 1e-4,
+        dynamics_lr: NonNegativeFloat = 1e-4,
+        epochs: PositiveInt = 20,
+        optimizer: OptimizerFactory = FusedAdamW,
+        lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
-        self.weights = loss_weights({"adversarial": adversarial_weight, "penalty": penalty_weight})
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
+        self.weights = {"adversarial": adversarial_weight, "penalty": penalty_weight}
         self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
         states, actions = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size
         self.discriminator = TransitionDiscriminator(
@@ -158,15 +153,14 @@ class GamaAlignment(GamaPhase):
         policy = self.policy
         return {"perception": policy.perception, "source_policy": policy.source_policy}
 
-    def optimizer(self) -> torch.optim.Optimizer:
-        """AdamW with a learning rate for each player."""
+    def parameter_groups(self) -> list[Any]:
+        """Both maps, the discriminator and the dynamics, each player with a learning rate of its own."""
         policy = self.policy
-        groups: list[dict[str, Any]] = [
+        return [
             {"params": [*policy.state_map.parameters(), *policy.action_map.parameters()]},
             {"params": [*self.discriminator.parameters()], "lr": self.discriminator_lr},
             {"params": [*policy.dynamics.parameters()], "lr": self.dynamics_lr},
         ]
-        return torch.optim.AdamW(groups, lr=self.lr, weight_decay=self.weight_decay, fused=True)
 
     def on_fit_start(self) -> None:
         """Perceive every step, and find out how much a step of the source domain changes."""
@@ -206,9 +200,8 @@ class GamaAdaptation(GamaPhase):
     Args:
         policy: The policy with trained maps.
         epochs: Passes over the target task's data and its mix.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
         target_mix: Whether mixed-in proxy steps of the target domain train the source policy too, through the maps.
     """
 
@@ -217,13 +210,12 @@ class GamaAdaptation(GamaPhase):
     def __init__(
         self,
         policy: GamaPolicy,
-        epochs: int = 50,
-        lr: float = 5e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        epochs: PositiveInt = 50,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = None,
         target_mix: bool = False,
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.learns_from = {policy.source, policy.target} if target_mix else {policy.source}
 
     @property

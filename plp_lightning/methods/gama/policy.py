@@ -6,12 +6,11 @@ domain y, the target's policy is ``g(π_x(f(s_y), k))``: f maps states y → x, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
+from datamodules.settings import PositiveInt
 from plp_lightning.methods.gama.networks import TargetDynamics
 from plp_lightning.methods.policy import Observations, Parts
 from plp_lightning.methods.translation.policy import TranslatingPolicy
@@ -31,7 +30,6 @@ class GamaPolicy(TranslatingPolicy):
         dynamics_layers: Hidden layers of the target dynamics.
         action_map_state: Whether the action map sees the target's state beside the source's action ("GAMA + State").
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        clip: Bound of z-scored inputs, in deviations.
         image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
             the policy is blind: it leaves images aside.
 
@@ -42,26 +40,15 @@ class GamaPolicy(TranslatingPolicy):
     def __init__(
         self,
         problem: TransferProblem,
-        hidden: int = 192,
-        policy_layers: int = 3,
-        map_layers: int = 3,
-        dynamics_layers: int = 3,
+        hidden: PositiveInt = 192,
+        policy_layers: PositiveInt = 3,
+        map_layers: PositiveInt = 3,
+        dynamics_layers: PositiveInt = 3,
         action_map_state: bool = False,
         scaling: dict[str, Scaling] | None = None,
-        clip: float = 5.0,
-        image_channels: Sequence[int] = (32, 32, 16),
+        image_channels: tuple[PositiveInt, ...] = (32, 32, 16),
     ) -> None:
-        architecture = {
-            "hidden": hidden,
-            "policy_layers": policy_layers,
-            "map_layers": map_layers,
-            "dynamics_layers": dynamics_layers,
-            "action_map_state": action_map_state,
-            "scaling": scaling,
-            "clip": clip,
-            "image_channels": list(image_channels),
-        }
-        super().__init__(problem, architecture, scaling, clip, image_channels)
+        super().__init__(problem, scaling, image_channels)
         here, there = (self.perception.sizes[domain] for domain in (self.source, self.target))
         acts, moves = self.domains[self.source].action_size, self.domains[self.target].action_size
         self.task_count, self.action_map_state = len(problem.tasks), action_map_state

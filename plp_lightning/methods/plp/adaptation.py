@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor, nn
 
+from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Observation, Steps
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.methods.phase import Phase, Schedule
+from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.plp.policy import PortablePolicy
 
 
@@ -22,9 +24,8 @@ class Adaptation(Phase[PortablePolicy]):
     Args:
         policy: The aligned policy.
         epochs: Passes over the target task's data and its mix.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate; the paper names none.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     trains = PortablePolicy
@@ -32,12 +33,11 @@ class Adaptation(Phase[PortablePolicy]):
     def __init__(
         self,
         policy: PortablePolicy,
-        epochs: int = 50,
-        lr: float = 1e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        epochs: PositiveInt = 50,
+        optimizer: OptimizerFactory = FusedAdamW,
+        lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.batch_spec = BatchSpec("mix", images=policy.decoder_sees_images)
         self.latents: dict[str, Tensor] = {}
 

@@ -16,10 +16,11 @@ from torch import Tensor
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
+from datamodules.settings import NonNegativeFloat, PositiveInt
 from datamodules.types import DomainSpec, Observation
 from plp_lightning.methods.plp.networks import CommonPolicy
 from plp_lightning.methods.policy import AligningPolicy, Observations, Parts
-from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoder, Sharing, StateEncoder
+from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoding, Sharing, StateEncoder
 from plp_lightning.networks.scaling import InputScaler
 from plp_lightning.networks.vision import encode_images, image_shape
 
@@ -58,10 +59,7 @@ class PortablePolicy(AligningPolicy):
         columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
             domains whose vectors mean the same.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        clip: Bound of z-scored inputs, in deviations.
-        image_channels: Of each convolution of the image encoder, which halves the image's sides; without any, the
-            policy is blind: it leaves images aside.
-        image_features: Length of the vector that an image becomes.
+        image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:
         ConfigError: If a size is wrong, or the domains' images differ in shape.
@@ -70,41 +68,27 @@ class PortablePolicy(AligningPolicy):
     def __init__(
         self,
         problem: TransferProblem,
-        latent: int = 192,
-        hidden: int = 192,
-        encoder_layers: int = 3,
-        policy_layers: int = 4,
-        decoder_layers: int = 3,
-        gradient_floor: float = 0.1,
+        latent: PositiveInt = 192,
+        hidden: PositiveInt = 192,
+        encoder_layers: PositiveInt = 3,
+        policy_layers: PositiveInt = 4,
+        decoder_layers: PositiveInt = 3,
+        gradient_floor: NonNegativeFloat = 0.1,
         encoder_state: EncoderState = "all",
         decoder_state: DecoderState = "none",
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
-        clip: float = 5.0,
-        image_channels: Sequence[int] = (64, 64, 128, 128, 128),
-        image_features: int = 1024,
+        image_encoder: ImageEncoding = ImageEncoding(),
     ) -> None:
-        architecture = {
-            "latent": latent,
-            "hidden": hidden,
-            "encoder_layers": encoder_layers,
-            "policy_layers": policy_layers,
-            "decoder_layers": decoder_layers,
-            "gradient_floor": gradient_floor,
-            "encoder_state": encoder_state,
-            "decoder_state": decoder_state,
-            "columns": columns,
-            "scaling": scaling,
-            "clip": clip,
-            "image_channels": list(image_channels),
-            "image_features": image_features,
-        }
-        super().__init__(problem, architecture)
+        super().__init__(problem)
         domains, tasks = problem.domains, problem.tasks
         self.latent_size = latent
-        self.image_shape = image_shape(domains) if image_channels else None
-        self.image_features = 0 if self.image_shape is None else image_features
-        self.scaler = InputScaler(domains, problem.statistics, scaling or {}, clip)
+        self.image_shape, self.image_channels = (
+            image_shape(domains) if image_encoder.channels else None,
+            image_encoder.channels,
+        )
+        self.image_features = 0 if self.image_shape is None else image_encoder.features
+        self.scaler = InputScaler(domains, problem.statistics, scaling or {})
         self.state_columns = _columns("encoder_state", encoder_state, get_args(EncoderWord), domains)
         self.context_columns = _columns("decoder_state", decoder_state, get_args(DecoderWord), domains)
         self.states = DomainColumns({name: len(seen) for name, seen in self.state_columns.items()}, columns)
@@ -116,9 +100,7 @@ class PortablePolicy(AligningPolicy):
         self.decoder_sees_images = decoder_state == "all" and self.image_shape is not None
         context = self.contexts.width + len(domains) + (self.image_features if self.decoder_sees_images else 0)
         self.decoder = ActionDecoder(latent, context, self.actions.width, hidden, decoder_layers, gradient_floor)
-        self.image_encoder = (
-            None if self.image_shape is None else ImageEncoder(self.image_shape, image_channels, image_features)
-        )
+        self.image_encoder = None if self.image_shape is None else image_encoder.build(self.image_shape)
 
     def encode_images(self, observation: Observations) -> Observations:
         """Observations for both encoder and decoder: if both see images, with features ``(B_d, F)`` in their place.

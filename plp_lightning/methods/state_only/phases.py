@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -10,10 +10,13 @@ import torch
 from torch import Tensor
 
 from datamodules.errors import ConfigError
+from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
-from plp_lightning.methods.phase import Phase, Schedule
+from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.plp.adaptation import Adaptation
-from plp_lightning.methods.plp.alignment import Alignment, Term
+from plp_lightning.methods.plp.alignment import Alignment, batch_size
+from plp_lightning.methods.plp.terms import TermFactory
 from plp_lightning.methods.policy import Parts
 from plp_lightning.methods.state_only.losses import one_step
 from plp_lightning.methods.state_only.policy import StateOnlyPolicy
@@ -30,19 +33,11 @@ class StateOnlyAlignment(Alignment):
 
     Args:
         policy: The policy to train.
-        terms: Alignment terms.
-        mmd_weight: λ_MMD.
-        tcc_weight: λ_TCC.
-        adversarial_weight: Weight of the encoder's loss against the discriminator.
-        penalty_weight: γ of the penalty on the discriminator's slope.
-        reconstruction_weight: Weight of the image reconstruction loss; 0 leaves the image decoder away.
-        reconstruction_downsampling: How often images are halved before.
-        mmd_bandwidths: Widths of MMD's kernels, in mean distances.
+        terms: Alignment terms by name, as those of :class:`Alignment`.
         next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
 
     Raises:
         ConfigError: If the policy's decoder does not see the state.
@@ -53,35 +48,13 @@ class StateOnlyAlignment(Alignment):
     def __init__(
         self,
         policy: StateOnlyPolicy,
-        terms: list[Term],
-        mmd_weight: float = 0.1,
-        tcc_weight: float = 0.2,
-        adversarial_weight: float = 0.1,
-        penalty_weight: float = 1.0,
-        reconstruction_weight: float = 1.0,
-        reconstruction_downsampling: int = 0,
-        mmd_bandwidths: Sequence[float] = (1.0,),
+        terms: Mapping[str, TermFactory] | None = None,
         next_reduction: Reduction = "mean",
-        epochs: int = 100,
-        lr: float = 1e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        epochs: PositiveInt = 100,
+        optimizer: OptimizerFactory = FusedAdamW,
+        lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
-        super().__init__(
-            policy,
-            terms,
-            mmd_weight=mmd_weight,
-            tcc_weight=tcc_weight,
-            adversarial_weight=adversarial_weight,
-            penalty_weight=penalty_weight,
-            reconstruction_weight=reconstruction_weight,
-            reconstruction_downsampling=reconstruction_downsampling,
-            mmd_bandwidths=mmd_bandwidths,
-            epochs=epochs,
-            lr=lr,
-            weight_decay=weight_decay,
-            lr_schedule=lr_schedule,
-        )
+        super().__init__(policy, terms, epochs=epochs, optimizer=optimizer, lr_scheduler=lr_scheduler)
         _check_decoder(policy)
         self.batch_spec = replace(self.batch_spec, course=True)
         self.next_reduction, self.target = next_reduction, policy.problem.target_domain
@@ -90,12 +63,12 @@ class StateOnlyAlignment(Alignment):
         """Held-out losses that no source action is needed for."""
         steps = batch.steps
         latent = self.policy.encode({domain: s.observation for domain, s in steps.items()})
-        size = self._size(batch)
-        self.log("val/next", self.imitation_terms(latent, steps)["next"], batch_size=size, on_epoch=True)
+        loss = self.imitation_losses(latent, steps)["next"]
+        self.log("val/next", loss, batch_size=batch_size(batch), on_epoch=True)
         known = {domain: s for domain, s in steps.items() if domain == self.target}
         Phase.validation_step(self, Batch(known, {}), batch_idx)
 
-    def imitation_terms(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
+    def imitation_losses(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """L_next, and where there are steps of the target domain L_IDM."""
         last, following = {}, {}
         for domain, s in steps.items():
@@ -121,9 +94,8 @@ class StateOnlyAdaptation(Adaptation):
     Args:
         policy: The aligned policy.
         epochs: Passes over the target task's data and its mix.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
         next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
     """
 
@@ -132,13 +104,12 @@ class StateOnlyAdaptation(Adaptation):
     def __init__(
         self,
         policy: StateOnlyPolicy,
-        epochs: int = 50,
-        lr: float = 1e-4,
-        weight_decay: float = 0.0,
-        lr_schedule: Schedule = "constant",
+        epochs: PositiveInt = 50,
+        optimizer: OptimizerFactory = FusedAdamW,
+        lr_scheduler: SchedulerFactory | None = None,
         next_reduction: Reduction = "mean",
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.batch_spec = BatchSpec("mix", images=False, course=True)
         self.next_reduction = next_reduction
 
@@ -167,7 +138,7 @@ class StateOnlyAdaptation(Adaptation):
 
 def _check_decoder(policy: StateOnlyPolicy) -> None:
     if not policy.context_columns[policy.problem.target_domain]:
-        found = policy.architecture["decoder_state"]
+        found = policy.arguments["decoder_state"]
         raise ConfigError(
             f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
         )

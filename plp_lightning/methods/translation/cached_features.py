@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from datamodules.types import Course, Steps
-from plp_lightning.methods.phase import Phase, Schedule
+from plp_lightning.methods.optimization import OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.translation.policy import TranslatingPolicy
 
 T = TypeVar("T", bound=TranslatingPolicy)
@@ -22,15 +23,14 @@ class CachedFeatures(Phase[T]):
     Args:
         policy: The policy to train.
         epochs: Passes over the phase's data.
-        lr: Learning rate of AdamW.
-        weight_decay: Weight decay of AdamW.
-        lr_schedule: Of the learning rate.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
     def __init__(
-        self, policy: T, epochs: int, lr: float, weight_decay: float = 0.0, lr_schedule: Schedule = "constant"
+        self, policy: T, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None
     ) -> None:
-        super().__init__(policy, epochs, lr, weight_decay, lr_schedule)
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.states: dict[str, Tensor] = {}
 
     def on_fit_start(self) -> None:

@@ -21,7 +21,6 @@ class Perception(nn.Module):
     Args:
         problem: Domains, and statistics of their raw states.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        clip: Bound of z-scored inputs, in deviations.
         image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
             images are left aside.
 
@@ -29,11 +28,9 @@ class Perception(nn.Module):
         ConfigError: If a size is wrong, or ``scaling`` names a key that no domain has.
     """
 
-    def __init__(
-        self, problem: TransferProblem, scaling: Mapping[str, Scaling], clip: float, image_channels: Sequence[int]
-    ) -> None:
+    def __init__(self, problem: TransferProblem, scaling: Mapping[str, Scaling], image_channels: Sequence[int]) -> None:
         super().__init__()
-        self.scaler = InputScaler(problem.domains, problem.statistics, scaling, clip)
+        self.scaler = InputScaler(problem.domains, problem.statistics, scaling)
         self.sensed = {spec.name: spec.state_size for spec in problem.domains}
         images = {spec.name: spec.image_key.shape for spec in problem.domains if spec.image_key is not None}
         self.images = images if image_channels else {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from torch import Tensor
 
@@ -20,9 +19,7 @@ class TranslatingPolicy(AligningPolicy):
 
     Args:
         problem: Domains and tasks; exactly two domains.
-        architecture: What rebuilds the policy beside the problem.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        clip: Bound of z-scored inputs, in deviations.
         image_channels: Of each convolution of the image encoders, see :class:`Perception`.
 
     Raises:
@@ -32,19 +29,17 @@ class TranslatingPolicy(AligningPolicy):
     def __init__(
         self,
         problem: TransferProblem,
-        architecture: dict[str, Any],
         scaling: dict[str, Scaling] | None,
-        clip: float,
         image_channels: Sequence[int],
     ) -> None:
-        super().__init__(problem, architecture)
+        super().__init__(problem)
         if len(problem.domains) != 2:
             raise ConfigError(
                 f"{type(self).__name__} translates between two domains, found {', '.join(self.domains)}; "
                 "leave all but source and target domain away"
             )
         self.source, self.target = problem.source_domain, problem.target_domain
-        self.perception = Perception(problem, scaling or {}, clip, image_channels)
+        self.perception = Perception(problem, scaling or {}, image_channels)
 
     def features(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         """Scaled state and feature points ``(B, S_d)`` of a domain: what everything else is a function of."""

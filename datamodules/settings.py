@@ -1,0 +1,189 @@
+"""SETTINGS: a constructor's signature states a setting's name, type, default and bound, and nothing states them again.
+
+Bounds are types. The command line's parser knows them, and :class:`Configured` holds whoever builds an object in Python
+to the same ones. What an object was built with it remembers, so that a checkpoint can build it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import inspect
+import math
+import types
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from jsonargparse.typing import register_type
+
+from datamodules.errors import ConfigError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    # To the type checker a bounded number is a number.
+    PositiveInt: TypeAlias = int
+    NonNegativeInt: TypeAlias = int
+    PositiveFloat: TypeAlias = float
+    NonNegativeFloat: TypeAlias = float
+    Share: TypeAlias = float
+    Fraction: TypeAlias = float
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """Numbers that a setting may have.
+
+    Args:
+        kind: Their type.
+        told: How a message tells the bound.
+        holds: Whether a number is within it.
+    """
+
+    kind: type[int] | type[float]
+    told: str
+    holds: Callable[[float], bool]
+
+    def read(self, value: Any) -> int | float:
+        """The number, of its plain type.
+
+        Raises:
+            ValueError: If the value is no number within the bound.
+        """
+        with contextlib.suppress(TypeError, ValueError, OverflowError):
+            number = self.kind(value)
+            if not isinstance(value, bool) and (isinstance(value, str) or number == value) and self.holds(number):
+                return number
+        raise ValueError(f"{value}; expected {self.told}")
+
+
+BOUNDS: dict[Any, Bound] = {}
+"""By type that stands for the bound in signatures."""
+
+if not TYPE_CHECKING:
+
+    def _bounded(name: str, bound: Bound) -> type:
+        """A type for signatures; the parser gives plain numbers for it."""
+        made = type(name, (), {"__doc__": bound.told})
+        fits = lambda value, _: type(value) is bound.kind and bound.holds(value)  # noqa: E731
+        register_type(made, lambda number: number, bound.read, type_check=fits)
+        BOUNDS[made] = bound
+        return made
+
+    PositiveInt = _bounded("PositiveInt", Bound(int, "a whole number, at least 1", lambda n: n >= 1))
+    NonNegativeInt = _bounded("NonNegativeInt", Bound(int, "a whole number, at least 0", lambda n: n >= 0))
+    PositiveFloat = _bounded("PositiveFloat", Bound(float, "a number above 0", lambda x: 0 < x < math.inf))
+    NonNegativeFloat = _bounded("NonNegativeFloat", Bound(float, "a number, at least 0", lambda x: 0 <= x < math.inf))
+    Share = _bounded("Share", Bound(float, "a share from 0 to 1", lambda x: 0 <= x <= 1))
+    Fraction = _bounded("Fraction", Bound(float, "a share from 0 to below 1", lambda x: 0 <= x < 1))
+
+T = TypeVar("T")
+
+
+class Configured:
+    """Remembers the arguments that it was built with and refuses those outside of the bounds in its signature.
+
+    Raises:
+        ConfigError: If an argument is outside of its bound.
+    """
+
+    arguments: dict[str, Any]
+    """By name, defaults included; those of the outermost class that was built."""
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Look at the arguments before the constructor does, so that no class has to hand them on."""
+        made = super().__new__(cls)
+        # Copies and unpickled objects are made without arguments; their state brings what is remembered.
+        bound = inspect.signature(cls.__init__).bind_partial(made, *args, **kwargs)
+        bound.apply_defaults()
+        found = dict([*bound.arguments.items()][1:])
+        object.__setattr__(made, "arguments", found)
+        # A dataclass inherits fields, each with names of the module that it stands in.
+        hints = get_type_hints(cls if dataclasses.is_dataclass(cls) else cls.__init__)
+        for name, value in found.items():
+            check_bounds(f"{cls.__name__}.{name}", hints.get(name), value)
+        return made
+
+
+def check_bounds(place: str, hint: Any, value: Any) -> None:
+    """Hold a value, or every item of a collection, to the bound that its type states.
+
+    Args:
+        place: Name of the setting, for the message.
+        hint: Type from a signature; types without a bound allow everything.
+        value: The value.
+
+    Raises:
+        ConfigError: If the value is outside of the bound.
+    """
+    if hint in BOUNDS:
+        _check_number(place, hint, value)
+    elif get_origin(hint) in (Union, types.UnionType):
+        if value is not None or types.NoneType not in get_args(hint):
+            for option in get_args(hint):
+                check_bounds(place, option, value)
+    elif isinstance(value, Mapping):
+        for name, item in value.items():
+            check_bounds(f"{place}.{name}", get_args(hint)[-1] if get_args(hint) else None, item)
+    elif isinstance(value, Sequence) and not isinstance(value, str) and get_args(hint):
+        for item in value:
+            check_bounds(place, get_args(hint)[0], item)
+
+
+def _check_number(place: str, bound: Any, value: Any) -> None:
+    if isinstance(value, str):
+        raise ConfigError(f"{place} is {value!r}; expected {BOUNDS[bound].told}; change it")
+    try:
+        BOUNDS[bound].read(value)
+    except ValueError as error:
+        raise ConfigError(f"{place} is {error}; change it") from None
+
+
+def recipe(made: Configured, leaving_out: Sequence[str] = ()) -> dict[str, Any]:
+    """How to build an object again, as plain lists, strings and numbers: ``{class_path, init_args}``.
+
+    Args:
+        made: The object.
+        leaving_out: Arguments that :func:`build` is given by its caller.
+    """
+    kind = type(made)
+    arguments = {name: _plain(value) for name, value in made.arguments.items() if name not in leaving_out}
+    return {"class_path": f"{kind.__module__}.{kind.__qualname__}", "init_args": arguments}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Configured):
+        return recipe(value)
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def build(made_by: Mapping[str, Any], kind: type[T], allowed: Sequence[str], *first: Any) -> T:
+    """Build the object that :func:`recipe` tells of.
+
+    Args:
+        made_by: A recipe, from a checkpoint for instance.
+        kind: Class that the object has to be of.
+        allowed: Packages that may be imported for it; nothing else is.
+        first: Arguments that the recipe leaves out, which come first.
+
+    Raises:
+        ConfigError: If the recipe names something else than a class of that kind in an allowed package.
+    """
+    path = str(made_by["class_path"])
+    module, _, name = path.rpartition(".")
+    if not any(module == package or module.startswith(f"{package}.") for package in allowed):
+        package = path.split(".")[0]
+        raise ConfigError(f"importing {path!r} is not allowed; if you trust it, add --allow_imports {package}")
+    found = getattr(importlib.import_module(module), name, None)
+    if not isinstance(found, type) or not issubclass(found, kind):
+        raise ConfigError(f"{path!r} is no {kind.__name__}; expected the class that was saved")
+    arguments = {
+        name: build(value, Configured, allowed) if isinstance(value, Mapping) and "class_path" in value else value
+        for name, value in made_by["init_args"].items()
+    }
+    return found(*first, **arguments)

@@ -1,0 +1,54 @@
+"""Classes that a configuration may name, by short name or import path, and the settings that their signatures state."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from lightning.pytorch import Callback
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from plp_lightning.envs.base import Expert, Simulator
+from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.plp.terms import AlignmentTerm
+from plp_lightning.methods.policy import Policy
+
+ROOTS = (Policy, Phase, AlignmentTerm, Simulator, Expert, AlignmentScore, Callback, Optimizer, LRScheduler)
+"""Their subclasses are what a configuration names."""
+
+
+def known_classes(roots: Iterable[type] = ROOTS) -> Iterator[type]:
+    """Every class loaded so far that a configuration may name."""
+    waiting = list(roots)
+    while waiting:
+        kind = waiting.pop()
+        yield kind
+        waiting.extend(kind.__subclasses__())
+
+
+def find_class(name: str, allowed: Sequence[str]) -> type | None:
+    """The class of a short name or an import path; None if there is none, which the parser then tells.
+
+    Args:
+        name: As a configuration has it.
+        allowed: Packages that may be imported for it.
+    """
+    module, _, short = name.rpartition(".")
+    if not module:
+        return next((kind for kind in known_classes() if kind.__name__ == short), None)
+    if not any(module == package or module.startswith(f"{package}.") for package in allowed):
+        return None
+    try:
+        found = getattr(importlib.import_module(module), short, None)
+    except ImportError:
+        return None
+    return found if isinstance(found, type) else None
+
+
+def defaults(kind: type) -> dict[str, Any]:
+    """Settings of a class by name, each with its default, or ``inspect.Parameter.empty`` without one."""
+    return {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}

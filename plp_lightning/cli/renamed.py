@@ -1,0 +1,156 @@
+"""Keys and classes that had another name once: files and flags that use it are understood, and told the new one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from datamodules.errors import ConfigError
+from plp_lightning.cli.classes import find_class
+from plp_lightning.cli.layers import Tree, insert
+
+GROUPS: Mapping[str, Mapping[str, str]] = {
+    "data": {"target": "target_task", "held_out": "val_fraction", "mix": "mix_ratio"},
+    "collection": {"linger": "hold_steps", "wander": "random_start_steps"},
+}
+"""New names of settings by group."""
+CLASSES = {"FlatPolicy": "BCPolicy", "FlatCloning": "BCCloning", "FlatAdaptation": "BCAdaptation"}
+"""New short names of classes."""
+POLICY = {"image_channels": "image_encoder.channels", "image_features": "image_encoder.features", "clip": ""}
+"""Where settings of policies are now; nowhere, if that is empty."""
+PHASE = {
+    "lr": "optimizer.init_args.lr",
+    "weight_decay": "optimizer.init_args.weight_decay",
+    "lr_schedule": "lr_scheduler",
+}
+"""Where settings of all phases are now."""
+ALIGNMENT = {
+    "mmd_weight": "terms.mmd.init_args.weight",
+    "mmd_bandwidths": "terms.mmd.init_args.bandwidths",
+    "mmd_scale_gradient": "terms.mmd.init_args.scale_gradient",
+    "tcc_weight": "terms.tcc.init_args.weight",
+    "tcc_similarity": "terms.tcc.init_args.similarity",
+    "adversarial_weight": "terms.adversarial.init_args.weight",
+    "penalty_weight": "terms.adversarial.init_args.penalty_weight",
+    "discriminator_layers": "terms.adversarial.init_args.layers",
+    "discriminator_hidden": "terms.adversarial.init_args.hidden",
+    "reconstruction_weight": "terms.reconstruction.init_args.weight",
+    "reconstruction_halvings": "terms.reconstruction.init_args.downsampling",
+}
+"""Where settings of the portable policy's alignment are now."""
+CDIL = {
+    "adversarial_weight": "weights.adversarial",
+    "cycle_weight": "weights.cycle",
+    "latent_weight": "weights.latent",
+    "position_weight": "weights.position",
+    "penalty_weight": "weights.penalty",
+    "first_moment": "optimizer.init_args.first_moment",
+    "slowdown": "lr_scheduler.init_args.share",
+}
+"""Where settings of CDIL's alignment are now."""
+TERMS = {"mmd": "MMD", "adversarial": "DomainAdversarial", "tcc": "TCC"}
+"""Classes of the terms that once were words in a list."""
+VALUES: Mapping[str, Callable[[Any], Any]] = {
+    "lr_schedule": lambda word: {"class_path": "CosineDecay"} if word == "cosine" else None,
+}
+"""What becomes of values that are told in another way now."""
+OLD_CLIP = 5.0
+"""The only bound of z-scored inputs that there is now."""
+
+
+def rename(tree: Tree, phases: list[str]) -> tuple[Tree, list[str]]:
+    """A configuration in today's names.
+
+    Args:
+        tree: As read from a file.
+        phases: Names of phases, each a key.
+
+    Returns:
+        The configuration, and for each old name ``old is new``.
+
+    Raises:
+        ConfigError: If it sets what can't be set any more to another value.
+    """
+    found: list[str] = []
+    renamed = {key: _group(key, value, found) if key in GROUPS else value for key, value in _classes(tree).items()}
+    if isinstance(renamed.get("policy"), Mapping):
+        renamed["policy"] = _part(renamed["policy"], "policy", found)
+    for phase in (name for name in phases if isinstance(renamed.get(name), Mapping)):
+        renamed[phase] = _part(renamed[phase], phase, found)
+    if isinstance(renamed.get("score"), Mapping):
+        renamed["score"] = [renamed["score"]]
+        found.append("one score is a list of one")
+    return renamed, found
+
+
+def rename_flag(key: str, tree: Tree) -> str:
+    """Today's name of a flag such as ``data.target``.
+
+    Args:
+        key: The flag, without dashes.
+        tree: The configuration that it is laid over, which says which class a phase is of.
+    """
+    head, _, name = key.replace(".init_args.", ".").partition(".")
+    new = GROUPS.get(head, {}).get(name)
+    if new is None and isinstance(tree.get(head), Mapping):
+        new = _table(head, tree[head]).get(name, "").replace(".init_args.", ".")
+    return f"{head}.{new}" if new else key
+
+
+def _classes(tree: Any) -> Any:
+    """The same with classes that have moved under their short names."""
+    if isinstance(tree, list):
+        return [_classes(item) for item in tree]
+    if not isinstance(tree, Mapping):
+        return tree
+    inner = {key: _classes(value) for key, value in tree.items()}
+    path = inner.get("class_path")
+    if isinstance(path, str):
+        short = path.rpartition(".")[2]
+        moved = path.startswith("plp_lightning.") and find_class(path, ["plp_lightning"]) is None
+        inner["class_path"] = CLASSES.get(short, short if moved else path)
+    return inner
+
+
+def _group(name: str, settings: Any, found: list[str]) -> Any:
+    if not isinstance(settings, Mapping):
+        return settings
+    table = GROUPS[name]
+    found += [f"{name}.{old} is {name}.{table[old]}" for old in settings if old in table]
+    return {table.get(key, key): value for key, value in settings.items()}
+
+
+def _table(place: str, part: Mapping[str, Any]) -> Mapping[str, str]:
+    """Where the old settings of a policy or phase are now; that depends on its class."""
+    kind = str(part.get("class_path", "")).rpartition(".")[2]
+    if place == "policy":
+        return {"clip": ""} if kind in ("GamaPolicy", "CdilPolicy") else POLICY
+    special = {"": ALIGNMENT, "Alignment": ALIGNMENT, "StateOnlyAlignment": ALIGNMENT, "CdilAlignment": CDIL}
+    return {**PHASE, **special.get(kind, {})}
+
+
+def _part(part: Mapping[str, Any], place: str, found: list[str]) -> Tree:
+    """A policy or a phase in today's names."""
+    said = part.get("init_args")
+    if not isinstance(said, Mapping):
+        return dict(part)
+    table, settings = _table(place, part), dict[str, Any]()
+    words = said.get("terms")
+    for key, value in said.items():
+        if table.get(key):
+            insert(settings, table[key], VALUES[key](value) if key in VALUES else value)
+            found.append(f"{place}.{key} is {place}.{table[key].replace('.init_args.', '.')}")
+        elif key in table and value != OLD_CLIP:
+            raise ConfigError(f"{place}.{key} is {value}; expected {OLD_CLIP}, which it always is now; leave it away")
+        elif key not in table and not (key == "terms" and isinstance(words, list)):
+            settings[key] = value
+    if isinstance(words, list):
+        found.append(f"the list {place}.terms is a mapping from names to classes")
+        settings["terms"] = _chosen(words, settings.get("terms", {}))
+    return {**part, "init_args": settings}
+
+
+def _chosen(words: list[str], said: Mapping[str, Any]) -> Tree:
+    """Terms by name for a list of words; those that it leaves out are null."""
+    chosen = {name: {"class_path": kind, **said.get(name, {})} for name, kind in TERMS.items() if name in words}
+    return {**said, **dict.fromkeys(TERMS), **chosen}

@@ -1,0 +1,60 @@
+"""Checkpoints of earlier versions, in today's names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from datamodules.settings import recipe
+from plp_lightning.networks import ImageEncoding
+
+PREFIXES = {
+    "discriminator.": "terms.adversarial.discriminator.",
+    "image_decoder.": "terms.reconstruction.image_decoder.",
+    "policy.perception.eyes.": "policy.perception.image_encoders.",
+}
+"""Where parameters were, and where they are; the first two of the portable policy's alignment alone."""
+
+
+def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:
+    """Bring a checkpoint up to date in place; one of today's stays as it is.
+
+    Args:
+        checkpoint: As Lightning saves it.
+    """
+    if "architecture" not in checkpoint["policy"]:
+        return
+    # GAMA's discriminator is where it was: it has a unit of changes, which the domain discriminator has not.
+    prefixes = dict(PREFIXES)
+    if any(name.startswith(("discriminator.unit", "discriminators.")) for name in checkpoint["state_dict"]):
+        prefixes.pop("discriminator.")
+    moved = {name: _moved(name, prefixes) for name in checkpoint["state_dict"]}
+    checkpoint["state_dict"] = {moved[name]: value for name, value in checkpoint["state_dict"].items()}
+    if any("eyes" in name for name in moved):
+        # Hashes of frozen parts go over names too; they are taken anew.
+        checkpoint.get("callbacks", {}).pop("FreezeGuard", None)
+    if not checkpoint.get("lr_schedulers"):
+        # CDIL's rates fell without a scheduler: one that goes on has to know the epoch.
+        groups = [len(state["param_groups"]) for state in checkpoint.get("optimizer_states", [])]
+        states = [{"last_epoch": checkpoint.get("epoch", 0), "lr_lambdas": [None] * count} for count in groups]
+        checkpoint["lr_schedulers"] = states
+
+
+def _moved(name: str, prefixes: dict[str, str]) -> str:
+    found = next((old for old in prefixes if name.startswith(old)), "")
+    return prefixes.get(found, "") + name.removeprefix(found)
+
+
+def upgrade_recipe(class_path: str, architecture: Mapping[str, Any]) -> dict[str, Any]:
+    """How to build a policy that an earlier version saved.
+
+    Args:
+        class_path: Its class, as it was called.
+        architecture: Its settings, as they were called.
+    """
+    short = class_path.rpartition(".")[2].replace("FlatPolicy", "BCPolicy")
+    settings = {name: value for name, value in architecture.items() if name != "clip"}
+    if "image_features" in settings:  # the others keep their image_channels
+        sizes = tuple(settings.pop("image_channels")), settings.pop("image_features")
+        settings["image_encoder"] = recipe(ImageEncoding(*sizes))
+    return {"class_path": f"plp_lightning.methods.{short}", "init_args": settings}

@@ -1,0 +1,93 @@
+"""Trained policies, out of run directories and checkpoints; nothing else of a run is needed, and nothing is started."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+
+from datamodules.errors import CheckpointError, ConfigError
+from datamodules.problem import TransferProblem
+from datamodules.settings import build
+from plp_lightning.callbacks.checkpointing import read_checkpoint
+from plp_lightning.methods.policy import Policy
+from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe
+from plp_lightning.runs.directory import RunDirectory
+
+PACKAGE = "plp_lightning"
+
+
+def load_policy(
+    path: Path | str, phase: str | None = None, which: str = "last", allow_imports: Sequence[str] = ()
+) -> Policy:
+    """Load a trained policy, ready to act: ``policy.act(observation, domain=…, task=…)``.
+
+    Args:
+        path: A run directory, or a checkpoint in one.
+        phase: Phase whose checkpoint to take; the last one that has any if not given.
+        which: ``last`` or ``best`` checkpoint of the phase.
+        allow_imports: Packages of yours that the policy's class may be imported from.
+
+    Raises:
+        ConfigError: If there is no such run or phase, or the policy's class may not be imported.
+        CheckpointError: If the checkpoint is damaged or would run code.
+    """
+    file = Path(path) if Path(path).is_file() else _checkpoint_of(RunDirectory.open(Path(path)), phase, which)
+    content = read_checkpoint(file)
+    problem = TransferProblem.from_dict(content["policy"]["problem"])
+    # mypy allows no abstract class to stand for its subclasses: https://github.com/python/mypy/issues/4717
+    policy: Policy = build(_recipe(content["policy"], file), Policy, [PACKAGE, *allow_imports], problem)  # type: ignore[type-abstract]
+    put_weights(policy, content, file)
+    return policy.eval()
+
+
+def load_policy_weights(policy: Policy, checkpoint: Path) -> None:
+    """Put the weights, scaling included, of a phase's checkpoint into ``policy``.
+
+    Raises:
+        CheckpointError: If it is of a policy with other domains, tasks or sizes.
+    """
+    put_weights(policy, read_checkpoint(checkpoint), checkpoint)
+
+
+def put_weights(policy: Policy, content: dict[str, Any], checkpoint: Path) -> None:
+    """Put the weights of a checkpoint that was read into ``policy``.
+
+    Raises:
+        CheckpointError: If it is of a policy with other domains, tasks or sizes.
+    """
+    upgrade_checkpoint(content)
+    state: Mapping[str, torch.Tensor] = content["state_dict"]
+    prefix = "policy."
+    try:
+        policy.load_state_dict({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+    except RuntimeError as error:
+        found = str(error).strip().splitlines()[-1].strip()
+        raise CheckpointError(
+            f"{checkpoint}: is of another policy ({found}); use the configuration that it was trained with"
+        ) from None
+
+
+def _checkpoint_of(run: RunDirectory, phase: str | None, which: str) -> Path:
+    names = [phase] if phase else [*run.status()["phases"]]
+    found = [run.checkpoint(name, which) for name in names if run.checkpoint(name, which).exists()]
+    if not found:
+        raise ConfigError(
+            f"{run.path}: has no checkpoint {which!r} of {phase or 'any phase'}; "
+            f"finish a phase with plp fit --resume {run.path}"
+        )
+    return found[-1]
+
+
+def _recipe(record: Mapping[str, Any], checkpoint: Path) -> Mapping[str, Any]:
+    """Class and settings of a policy; earlier versions kept the class in the run's configuration alone."""
+    if "class_path" in record:
+        return record
+    config = checkpoint.parents[2] / "config.yaml"
+    if not config.is_file():
+        raise CheckpointError(f"{checkpoint}: does not say of which class its policy is; expected {config} beside it")
+    told = yaml.safe_load(config.read_text(encoding="utf-8"))["policy"]["class_path"]
+    return upgrade_recipe(told, record["architecture"])
