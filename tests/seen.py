@@ -13,6 +13,7 @@ from datamodules.types import Trajectory
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.synthetic import LinearPointExpert, SeenPoint
 from plp_lightning.methods.plp.policy import DecoderState, PortablePolicy
+from plp_lightning.networks import ImageEncoding
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
 
@@ -70,5 +71,5 @@ def policy(data: TransferDataModule, decoder_state: DecoderState = "none") -> Po
     """A small policy for the domains of ``data``, always with the same weights."""
     torch.manual_seed(0)
     return PortablePolicy(
-        data.problem, latent=8, hidden=16, image_channels=[4, 6], image_features=12, decoder_state=decoder_state
+        data.problem, latent=8, hidden=16, image_encoder=ImageEncoding((4, 6), 12), decoder_state=decoder_state
     )

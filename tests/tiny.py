@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from datamodules.amounts import Batching, Demonstrations
 from datamodules.batches.dataset import DomainDataset, build_dataset
 from datamodules.batches.normalization import Statistics
-from datamodules.problem import TransferProblem
+from datamodules.problem import TransferProblem, TransferRoles
 from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
+from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory
 from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.methods.plp.terms import MMD, TCC, DomainAdversarial, ImageReconstruction, TermFactory
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
 
@@ -49,27 +52,31 @@ def data_module(
     batch_size: int = 32,
     mix_ratio: float = 2.0,
     seed: int = 0,
+    tasks_per_batch: int | None = None,
     domain_names: tuple[str, ...] = ("flat", "tall"),
 ) -> TransferDataModule:
     """Demonstrations of the file at ``path``: flat is the source, tall the target domain."""
-    return TransferDataModule(
-        path,
-        TASKS,
-        PROXIES,
-        (TARGET,),
-        domain_names,
-        "flat",
-        "tall",
-        TARGET,
-        trajectories=trajectories,
-        target_trajectories=target_trajectories,
-        val_fraction=val_fraction,
-        batch_size=batch_size,
-        pairs=6,
-        stride=4,
-        mix_ratio=mix_ratio,
-        seed=seed,
+    demonstrations = Demonstrations(
+        trajectories=trajectories, target_trajectories=target_trajectories, val_fraction=val_fraction
     )
+    batching = Batching(batch_size=batch_size, tasks_per_batch=tasks_per_batch, pairs=6, stride=4, mix_ratio=mix_ratio)
+    return TransferDataModule(path, roles(domain_names), demonstrations, batching, seed)
+
+
+def roles(domain_names: tuple[str, ...] = ("flat", "tall")) -> TransferRoles:
+    """From flat to tall, for one target task."""
+    return TransferRoles(domain_names, "flat", "tall", TASKS, PROXIES, TARGET, (TARGET,))
+
+
+def adamw(lr: float, weight_decay: float = 0.0) -> OptimizerFactory:
+    """An optimizer with this rate."""
+    return partial(FusedAdamW, lr=lr, weight_decay=weight_decay)
+
+
+def terms(*names: str) -> dict[str, TermFactory]:
+    """Alignment terms with their own settings."""
+    known: dict[str, TermFactory] = {"mmd": MMD, "tcc": TCC, "adversarial": DomainAdversarial}
+    return {name: known[name] for name in names} | {"reconstruction": ImageReconstruction}
 
 
 def spec(name: str, state: int, actions: int) -> DomainSpec:

@@ -65,7 +65,7 @@ def test_divergence_ends_a_run_and_spares_the_checkpoints(
 
 
 def test_finite_parameters_may_be_saved(trajectory_file: Path) -> None:
-    phase = Alignment(tiny.policy(tiny.data_module(trajectory_file)), [])
+    phase = Alignment(tiny.policy(tiny.data_module(trajectory_file)), tiny.terms())
     FiniteGuard().on_save_checkpoint(PLACE, phase, {})
     phase.policy.decoder.net[0].weight.data[0, 0] = float("nan")
     with pytest.raises(DivergedError, match=r"parameter policy\.decoder\.net\.0\.weight is not finite"):

@@ -102,7 +102,7 @@ def test_a_resumed_run_is_held_to_the_hashes_of_its_beginning(trajectory_file: P
 
 
 def test_a_phase_that_freezes_nothing_is_left_alone(trajectory_file: Path) -> None:
-    phase = Alignment(tiny.policy(tiny.data_module(trajectory_file)), [])
+    phase = Alignment(tiny.policy(tiny.data_module(trajectory_file)), tiny.terms())
     guard = FreezeGuard()
     guard.on_fit_start(None, phase)  # type: ignore[arg-type]
     with torch.no_grad():

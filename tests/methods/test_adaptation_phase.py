@@ -31,7 +31,7 @@ class Watched(Adaptation):
 @pytest.fixture
 def adapted(trajectory_file: Path, make_trainer: Callable[..., Trainer]) -> tuple[Watched, dict[str, Tensor]]:
     data = tiny.data_module(trajectory_file)
-    phase = Watched(tiny.policy(data), lr=3e-3, weight_decay=0.1)
+    phase = Watched(tiny.policy(data), optimizer=tiny.adamw(3e-3, 0.1))
     before = {name: value.clone() for name, value in phase.state_dict().items()}
     make_trainer(FreezeGuard(), epochs=3).fit(phase, datamodule=data)
     return phase, before
@@ -57,7 +57,7 @@ def test_cached_latents_are_fresh_latents(adapted: tuple[Watched, dict[str, Tens
 
 
 def test_the_optimiser_holds_the_common_policy_alone_even_without_a_guard(trajectory_file: Path) -> None:
-    phase = Adaptation(tiny.policy(tiny.data_module(trajectory_file)), lr=0.25, weight_decay=0.5)
+    phase = Adaptation(tiny.policy(tiny.data_module(trajectory_file)), optimizer=tiny.adamw(0.25, 0.5))
     optimizer = phase.configure_optimizers()
     held = [id(parameter) for group in optimizer.param_groups for parameter in group["params"]]
     assert held == [id(parameter) for parameter in phase.policy.common.parameters()]

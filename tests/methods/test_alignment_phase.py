@@ -149,7 +149,7 @@ def test_the_spread_of_the_latents_is_watched(trajectory_file: Path) -> None:
 
 def test_alignment_learns_and_changes_all_parts(trajectory_file: Path, make_trainer: Callable[..., Trainer]) -> None:
     data = tiny.data_module(trajectory_file, batch_size=64)
-    phase = Alignment(tiny.policy(data), ["mmd", "tcc"], lr=6e-3)
+    phase = Alignment(tiny.policy(data), tiny.terms("mmd", "tcc"), optimizer=tiny.adamw(6e-3))
     before = {name: value.clone() for name, value in phase.state_dict().items()}
     trainer = make_trainer(epochs=8)
     trainer.fit(phase, datamodule=data)
@@ -157,14 +157,14 @@ def test_alignment_learns_and_changes_all_parts(trajectory_file: Path, make_trai
     assert changed == {name for name in before if not name.startswith("policy.scaler")}
     batch = next(iter(data.val_dataloader()))
     policies = (phase.policy, tiny.policy(data))
-    trained, untrained = (separate_losses(Alignment(policy, []), batch)["bc"].item() for policy in policies)
+    trained, untrained = (separate_losses(Alignment(policy, tiny.terms()), batch)["bc"].item() for policy in policies)
     assert trained < 0.5 * untrained
 
 
 @pytest.mark.parametrize("bandwidths", [[], [1.0, 0.0]])
 def test_kernels_have_a_width(bandwidths: list[float], trajectory_file: Path) -> None:
     with pytest.raises(ConfigError, match=r"mmd_bandwidths is \[.*\]; expected one or more widths above 0"):
-        Alignment(tiny.policy(tiny.data_module(trajectory_file)), ["mmd"], mmd_bandwidths=bandwidths)
+        Alignment(tiny.policy(tiny.data_module(trajectory_file)), tiny.terms("mmd"), mmd_bandwidths=bandwidths)
 
 
 def test_mmd_has_the_kernels_asked_for(trajectory_file: Path) -> None:

@@ -20,7 +20,7 @@ from datamodules.types import BatchSpec, Observation
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.methods import Alignment, BCAdaptation, BCCloning, BCPolicy
 from plp_lightning.methods.policy import AligningPolicy
-from plp_lightning.networks import Sharing
+from plp_lightning.networks import ImageEncoding, Sharing
 
 OVERLAY = ["--config", str(ROOT / "configs" / "methods" / "bc.yaml")]
 SMALL, LARGE = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5)
@@ -108,7 +108,7 @@ def test_what_a_camera_saw_decides_along(tmp_path: Path) -> None:
     seen.write(tmp_path / "seen.hdf5", 2)
     data = seen.data_module(tmp_path / "seen.hdf5")
     torch.manual_seed(0)
-    policy = BCPolicy(data.problem, hidden=16, layers=1, image_channels=[4, 6], image_features=12)
+    policy = BCPolicy(data.problem, hidden=16, layers=1, image_encoder=ImageEncoding((4, 6), 12))
     steps = next(iter(data.loader(BCCloning.batch_spec))).steps
     task = {domain: s.task for domain, s in steps.items()}
     bright = policy.predict_actions({d: s.observation for d, s in steps.items()}, task)
@@ -160,7 +160,7 @@ def test_adaptation_changes_all_weights_and_leaves_the_scaling(
     trajectory_file: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = BCAdaptation(flat(data), lr=3e-3)
+    phase = BCAdaptation(flat(data), optimizer=tiny.adamw(3e-3))
     before = {name: value.clone() for name, value in phase.policy.state_dict().items()}
     make_trainer(FreezeGuard(), epochs=1).fit(phase, datamodule=data)
     changed = {name for name, value in phase.policy.state_dict().items() if not torch.equal(value, before[name])}
@@ -183,7 +183,7 @@ def test_phases_and_policies_of_other_methods_do_not_mix(trajectory_file: Path) 
     with pytest.raises(ConfigError, match="phase BCCloning trains a BCPolicy, found a PortablePolicy"):
         BCCloning(tiny.policy(data))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="phase Alignment trains a PortablePolicy, found a BCPolicy"):
-        Alignment(flat(data), [])  # type: ignore[arg-type]
+        Alignment(flat(data), tiny.terms())  # type: ignore[arg-type]
 
 
 def test_it_learns_what_was_demonstrated_and_nothing_else(tmp_path: Path) -> None:

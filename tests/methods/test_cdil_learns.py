@@ -49,10 +49,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> TransferDataModule:
 @pytest.fixture(scope="module")
 def learned(data: TransferDataModule) -> CdilPolicy:
     policy = small_policy(data)
-    train(CdilPositions(policy, epochs=15, lr=5e-3), data)
-    train(CdilAlignment(policy, epochs=30, lr=3e-3, discriminator_hidden=48, discriminator_layers=2), data)
-    train(CdilDynamics(policy, epochs=15, lr=5e-3), data)
-    train(CdilAdaptation(policy, epochs=80, lr=5e-3), data)
+    train(CdilPositions(policy, epochs=15, optimizer=tiny.adamw(5e-3)), data)
+    train(
+        CdilAlignment(policy, epochs=30, optimizer=tiny.adamw(3e-3), discriminator_hidden=48, discriminator_layers=2),
+        data,
+    )
+    train(CdilDynamics(policy, epochs=15, optimizer=tiny.adamw(5e-3)), data)
+    train(CdilAdaptation(policy, epochs=80, optimizer=tiny.adamw(5e-3)), data)
     return policy.eval()
 
 

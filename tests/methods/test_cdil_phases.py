@@ -200,7 +200,7 @@ def test_a_share_above_1_is_refused(policy: CdilPolicy) -> None:
 
 
 def test_one_optimiser_holds_both_players_with_a_rate_of_each(policy: CdilPolicy) -> None:
-    phase = CdilAlignment(policy, discriminator_lr=0.25, lr=0.5, weight_decay=0.125)
+    phase = CdilAlignment(policy, discriminator_lr=0.25, optimizer=tiny.adamw(0.5, 0.125))
     groups = phase.configure_optimizers().param_groups
     held = [{id(p) for p in group["params"]} for group in groups]
     assert held == [{id(p) for p in part.parameters()} for part in (policy.translator, phase.discriminators)]

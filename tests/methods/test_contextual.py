@@ -21,6 +21,7 @@ from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods import ContextualCloning, ContextualPolicy
 from plp_lightning.methods.contextual.cloning import prompt_episodes
 from plp_lightning.methods.contextual.policy import first_frames, last_frames
+from plp_lightning.methods.optimization import CosineDecay
 from plp_lightning.methods.policy import AligningPolicy
 
 SMALL, LARGE = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5)
@@ -31,7 +32,15 @@ def contextual(data: TransferDataModule, max_length: int = 1200, dropout: float 
     """A small policy that knows its demonstrations, always with the same weights."""
     torch.manual_seed(0)
     policy = ContextualPolicy(
-        data.problem, 16, 4, 1, 2, feed_forward=32, dropout=dropout, max_length=max_length, image_channels=[4, 6]
+        data.problem,
+        16,
+        4,
+        1,
+        2,
+        feed_forward=32,
+        dropout=dropout,
+        max_length=max_length,
+        image_encoder=ImageEncoding((4, 6), 1024),
     )
     policy.prompts.choose(data.datasets[data.source_domain], prompt_episodes(data))
     return policy.eval()
@@ -195,14 +204,16 @@ def test_images_are_read_frame_by_frame(tmp_path: Path) -> None:
     changed = (policy(pairs["left"], pairs["right"]) != before).any(dim=1)
     assert changed[pairs["right"].frame[0][pairs["right"].mask[0]]].tolist()[:3] == [False, False, True]
     assert not changed[pairs["right"].frame[1][pairs["right"].mask[1]]].any()
-    blind = ContextualPolicy(data.problem, 16, 4, 1, 1, image_channels=[])
+    blind = ContextualPolicy(data.problem, 16, 4, 1, 1, image_encoder=ImageEncoding(()))
     assert not ContextualCloning(blind).batch_spec.images
 
 
 def test_it_learns_to_do_what_it_is_shown(trajectory_file: Path, make_trainer: Callable[..., Trainer]) -> None:
     data = tiny.data_module(trajectory_file, val_fraction=0.1)
     policy = contextual(data, dropout=0.0).train()
-    make_trainer(epochs=60).fit(ContextualCloning(policy, lr=5e-3, lr_schedule="cosine"), datamodule=data)
+    make_trainer(epochs=60).fit(
+        ContextualCloning(policy, optimizer=tiny.adamw(5e-3), lr_scheduler=CosineDecay), datamodule=data
+    )
     tasks = [*tiny.PROXIES] * 3
     episodes = rollout(
         tiny.domains()["tall"].simulator, policy.eval().actor("tall", tasks), tasks, list(range(len(tasks)))

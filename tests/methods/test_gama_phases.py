@@ -136,7 +136,7 @@ def test_each_loss_of_alignment_reaches_its_own_player_only(
 
 def test_players_learn_at_rates_of_their_own(trajectory_file: Path) -> None:
     phase = WatchedAlignment(
-        policy_of(tiny.data_module(trajectory_file)), lr=1.0, discriminator_lr=2.0, dynamics_lr=3.0
+        policy_of(tiny.data_module(trajectory_file)), optimizer=tiny.adamw(1.0), discriminator_lr=2.0, dynamics_lr=3.0
     )
     groups = phase.optimizer().param_groups
     parts = phase.policy.state_map, phase.discriminator, phase.policy.dynamics

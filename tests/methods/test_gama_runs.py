@@ -19,6 +19,7 @@ from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.methods.gama.phases import GamaAdaptation, GamaAlignment, GamaPretraining
 from plp_lightning.methods.gama.policy import GamaPolicy
+from plp_lightning.methods.optimization import CosineDecay
 from plp_lightning.runs.directory import RunDirectory
 
 PHASES = ("pretraining", "alignment", "adaptation")
@@ -33,11 +34,17 @@ def test_gama_finds_the_map_between_two_planes_and_a_new_task_along_it(
     data = tiny.data_module(tmp_path / "many.hdf5", trajectories=84, target_trajectories=12)
     torch.manual_seed(0)
     policy = GamaPolicy(data.problem, hidden=64, policy_layers=2, map_layers=2, dynamics_layers=1)
-    make_trainer(epochs=6).fit(GamaPretraining(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
-    alignment = GamaAlignment(policy, lr=3e-3, discriminator_lr=1e-3, discriminator_hidden=32, lr_schedule="cosine")
+    make_trainer(epochs=6).fit(
+        GamaPretraining(policy, optimizer=tiny.adamw(3e-3), lr_scheduler=CosineDecay), datamodule=data
+    )
+    alignment = GamaAlignment(
+        policy, optimizer=tiny.adamw(3e-3), discriminator_lr=1e-3, discriminator_hidden=32, lr_scheduler=CosineDecay
+    )
     make_trainer(epochs=14).fit(alignment, datamodule=data)
     policy.requires_grad_()
-    make_trainer(epochs=10).fit(GamaAdaptation(policy, lr=3e-3, lr_schedule="cosine"), datamodule=data)
+    make_trainer(epochs=10).fit(
+        GamaAdaptation(policy, optimizer=tiny.adamw(3e-3), lr_scheduler=CosineDecay), datamodule=data
+    )
 
     flat, tall = (domain.simulator for domain in tiny.domains().values())
     assert isinstance(flat, LinearPoint)

@@ -14,6 +14,7 @@ from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.types import BatchSpec
 from plp_lightning.callbacks.checkpointing import RandomState, best_and_last, read_checkpoint
+from plp_lightning.methods.optimization import CosineDecay
 from plp_lightning.methods.phase import loss_weights
 from plp_lightning.methods.plp import Adaptation, Alignment
 from plp_lightning.methods.plp.policy import PortablePolicy
@@ -29,7 +30,7 @@ def test_held_out_losses_are_means_over_all_held_out_steps(
     trajectory_file: Path, tmp_path: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = Alignment(tiny.policy(data), ["mmd"])
+    phase = Alignment(tiny.policy(data), tiny.terms("mmd"))
     make_trainer(epochs=1, logger=MetricsFile(tmp_path / "log")).fit(phase, datamodule=data)
     sums, counts = {}, {}
     for domain, rows in data.rows(tiny.PROXIES, "val").items():
@@ -46,7 +47,7 @@ def test_every_part_of_the_loss_has_its_curve(
     trajectory_file: Path, tmp_path: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = Alignment(tiny.policy(data), ["mmd", "tcc"])
+    phase = Alignment(tiny.policy(data), tiny.terms("mmd", "tcc"))
     make_trainer(epochs=1, logger=MetricsFile(tmp_path / "log")).fit(phase, datamodule=data)
     steps = len(data.loader(BatchSpec(pairs="thinned")))
     for name in ("bc", "mmd", "tcc", "loss", "latent_std"):
@@ -54,7 +55,9 @@ def test_every_part_of_the_loss_has_its_curve(
 
 
 def test_adamw_without_decay_is_the_default(trajectory_file: Path) -> None:
-    phase = Alignment(tiny.policy(tiny.data_module(trajectory_file)), ["adversarial"], lr=0.125)
+    phase = Alignment(
+        tiny.policy(tiny.data_module(trajectory_file)), tiny.terms("adversarial"), optimizer=tiny.adamw(0.125)
+    )
     optimizer = phase.configure_optimizers()
     assert isinstance(optimizer, torch.optim.AdamW)
     (group,) = optimizer.param_groups
@@ -87,7 +90,7 @@ def test_a_run_that_was_stopped_gives_the_weights_of_an_unbroken_one(
 ) -> None:
     def run(folder: str, epochs: int, resume: Path | None = None) -> dict[str, torch.Tensor]:
         data = tiny.data_module(trajectory_file, batch_size=100)
-        phase = Alignment(tiny.policy(data), ["mmd", "tcc"], lr=1e-3)
+        phase = Alignment(tiny.policy(data), tiny.terms("mmd", "tcc"), optimizer=tiny.adamw(1e-3))
         trainer = make_trainer(RandomState(), *best_and_last(tmp_path / folder), epochs=epochs)
         trainer.fit(phase, datamodule=data, ckpt_path=resume, weights_only=True)
         return {name: value.clone() for name, value in phase.state_dict().items()}
@@ -102,7 +105,7 @@ def test_cosine_lowers_the_rate_to_nothing_over_the_whole_phase(
     trajectory_file: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = Alignment(tiny.policy(data), ["mmd"], lr=0.5, lr_schedule="cosine")
+    phase = Alignment(tiny.policy(data), tiny.terms("mmd"), optimizer=tiny.adamw(0.5), lr_scheduler=CosineDecay)
     rates: list[float] = []
 
     class Rates(Callback):
@@ -121,7 +124,7 @@ def test_no_weight_is_below_zero(name: str, trajectory_file: Path) -> None:
     policy = tiny.policy(tiny.data_module(trajectory_file))
     wanted = rf"the weight of {name} is -0.1; expected 0 or more; set alignment.{name}_weight"
     with pytest.raises(ConfigError, match=wanted):
-        Alignment(policy, ["mmd"], **{f"{name}_weight": -0.1})
+        Alignment(policy, tiny.terms("mmd"), **{f"{name}_weight": -0.1})
 
 
 def test_weights_come_back_as_they_were() -> None:

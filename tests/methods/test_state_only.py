@@ -117,7 +117,10 @@ def test_the_prediction_teaches_encoder_and_common_policy_and_the_inverse_dynami
 def trained(data: TransferDataModule, make_trainer: Callable[..., Trainer]) -> Mapping[str, Tensor]:
     """Weights after both phases."""
     policy = build(data)
-    for phase in (StateOnlyAlignment(policy, ["mmd", "tcc"], lr=3e-3), StateOnlyAdaptation(policy, lr=3e-3)):
+    for phase in (
+        StateOnlyAlignment(policy, tiny.terms("mmd", "tcc"), optimizer=tiny.adamw(3e-3)),
+        StateOnlyAdaptation(policy, optimizer=tiny.adamw(3e-3)),
+    ):
         make_trainer(FreezeGuard()).fit(phase, datamodule=data)
     return policy.state_dict()
 
@@ -150,7 +153,7 @@ def test_adaptation_teaches_the_common_policy_alone_to_foresee(
     trajectory_file: Path, make_trainer: Callable[..., Trainer]
 ) -> None:
     data = tiny.data_module(trajectory_file, mix_ratio=1.0)
-    phase = Watched(build(data), lr=3e-3, weight_decay=0.1)
+    phase = Watched(build(data), optimizer=tiny.adamw(3e-3, 0.1))
     before = {name: value.clone() for name, value in phase.state_dict().items()}
     make_trainer(FreezeGuard(), epochs=1).fit(phase, datamodule=data)
     changed = {name for name, value in phase.state_dict().items() if not torch.equal(value, before[name])}
@@ -167,7 +170,7 @@ def test_inverse_dynamics_has_to_see_the_state(trajectory_file: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"decoder_state is 'none', but inverse dynamics has to see the state; set it to 'prop"
     ):
-        StateOnlyAlignment(blind, ["mmd"])
+        StateOnlyAlignment(blind, tiny.terms("mmd"))
 
 
 def test_every_setting_of_alignment_arrives_under_its_name(trajectory_file: Path) -> None:

@@ -83,7 +83,7 @@ def test_images_are_drawn_from_their_points_alone(seen_file: Path) -> None:
 
 def known(data: TransferDataModule, make_trainer: Callable[..., Trainer]) -> CachedFeatures[GamaPolicy]:
     """A phase that has just perceived all steps of ``data``."""
-    phase = CachedFeatures(small(data), epochs=1, lr=1e-3)
+    phase = CachedFeatures(small(data), epochs=1, optimizer=tiny.adamw(1e-3))
     phase.trainer = make_trainer()
     phase.trainer.datamodule = data  # type: ignore[attr-defined]
     phase.on_fit_start()

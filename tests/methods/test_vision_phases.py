@@ -21,6 +21,7 @@ from plp_lightning.losses import behavioural_cloning, reconstruction
 from plp_lightning.methods.plp import Adaptation, Alignment
 from plp_lightning.methods.plp.losses import mmd, tcc
 from plp_lightning.methods.plp.policy import DecoderState, PortablePolicy
+from plp_lightning.networks import ImageEncoding
 
 
 class Recorded(Alignment):
@@ -44,7 +45,9 @@ def align(
     data: TransferDataModule, terms: list[str], weight: float = 0.5, decoder_state: DecoderState = "none"
 ) -> Recorded:
     torch.manual_seed(1)
-    return Recorded(seen.policy(data, decoder_state), terms, 0.3, 0.7, reconstruction_weight=weight, lr=1e-3)  # type: ignore[arg-type]
+    return Recorded(
+        seen.policy(data, decoder_state), terms, 0.3, 0.7, reconstruction_weight=weight, optimizer=tiny.adamw(1e-3)
+    )  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("decoder_state", ["none", "all"])
@@ -98,7 +101,7 @@ def test_images_may_be_halved_before_they_are_reconstructed(
     seen_file: Path, halved: int, sides: tuple[int, int]
 ) -> None:
     data = seen.data_module(seen_file)
-    phase = Alignment(seen.policy(data), [], reconstruction_downsampling=halved)
+    phase = Alignment(seen.policy(data), tiny.terms(), reconstruction_downsampling=halved)
     image = phase.reconstruct({"right": torch.zeros(2, 8)})["right"]
     assert image.shape == (2, *sides, 3)
 
@@ -106,7 +109,7 @@ def test_images_may_be_halved_before_they_are_reconstructed(
 @pytest.mark.parametrize("halved", [-1, 2])
 def test_images_are_not_halved_away(seen_file: Path, halved: int) -> None:
     with pytest.raises(ConfigError, match=f"reconstruction_downsampling is {halved}; expected 0 to 1"):
-        Alignment(seen.policy(seen.data_module(seen_file)), [], reconstruction_downsampling=halved)
+        Alignment(seen.policy(seen.data_module(seen_file)), tiny.terms(), reconstruction_downsampling=halved)
 
 
 def test_the_image_decoder_is_no_part_of_the_policy(seen_file: Path) -> None:
@@ -131,7 +134,12 @@ def test_training_from_disk_gives_the_weights_of_training_from_memory(
 ) -> None:
     one, other = (seen.data_module(seen_file, place) for place in (seen.IN_MEMORY, seen.HALF))
     assert same(*(trained(align(d, ["mmd", "tcc"]), d, make_trainer(epochs=1)) for d in (one, other)))
-    assert same(*(trained(Adaptation(seen.policy(d), lr=1e-3), d, make_trainer(epochs=1)) for d in (one, other)))
+    assert same(
+        *(
+            trained(Adaptation(seen.policy(d), optimizer=tiny.adamw(1e-3)), d, make_trainer(epochs=1))
+            for d in (one, other)
+        )
+    )
 
 
 def test_a_stopped_run_gives_the_weights_of_an_unbroken_one(
@@ -149,7 +157,7 @@ def test_a_stopped_run_gives_the_weights_of_an_unbroken_one(
 
 def test_adaptation_looks_at_every_image_once(seen_file: Path, make_trainer: Callable[..., Trainer]) -> None:
     data = seen.data_module(seen_file, seen.ON_DISK)
-    phase = Adaptation(seen.policy(data), lr=1e-3)
+    phase = Adaptation(seen.policy(data), optimizer=tiny.adamw(1e-3))
     counts = looks(phase)
     before = {name: value.clone() for name, value in phase.state_dict().items()}
     after = trained(phase, data, make_trainer(FreezeGuard(), epochs=3))
@@ -163,8 +171,8 @@ def test_adaptation_shows_images_to_a_decoder_that_sees_them(
 ) -> None:
     data = seen.data_module(seen_file, seen.ON_DISK)
     torch.manual_seed(0)
-    policy = PortablePolicy(data.problem, 8, 16, decoder_state="all", image_channels=(4, 6), image_features=5)
-    phase = Adaptation(policy, lr=1e-3)
+    policy = PortablePolicy(data.problem, 8, 16, decoder_state="all", image_encoder=ImageEncoding((4, 6), 5))
+    phase = Adaptation(policy, optimizer=tiny.adamw(1e-3))
     before = {name: value.clone() for name, value in phase.state_dict().items()}
     after = trained(phase, data, make_trainer(FreezeGuard(), epochs=1))
     changed = {name for name, value in after.items() if not torch.equal(value, before[name])}

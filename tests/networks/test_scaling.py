@@ -14,7 +14,7 @@ STATISTICS = {"small": tiny.statistics(SMALL, 1), "large": tiny.statistics(LARGE
 
 
 def scaler(scaling: dict[str, Scaling], fitted: bool = True) -> InputScaler:
-    return InputScaler([SMALL, LARGE], STATISTICS if fitted else None, scaling, clip=2.0)
+    return InputScaler([SMALL, LARGE], STATISTICS if fitted else None, scaling)
 
 
 @pytest.mark.parametrize("spec", [SMALL, LARGE])
@@ -63,5 +63,5 @@ def test_a_key_that_no_domain_has_is_refused() -> None:
 
 def test_a_key_that_one_domain_has_is_enough() -> None:
     other = tiny.DomainSpec("other", (tiny.ObservationKey("angle", (2,)),), 2, 10.0)
-    both = InputScaler([SMALL, other], None, {"angle": 3.0}, clip=5.0)
+    both = InputScaler([SMALL, other], None, {"angle": 3.0})
     assert both(torch.ones(1, 2), "other").tolist() == [[3, 3]]

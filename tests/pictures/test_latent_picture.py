@@ -59,7 +59,7 @@ def test_pictures_are_drawn_in_their_epochs_and_at_the_end(
     drawn: list[int] = []
     monkeypatch.setattr(LatentPicture, "_draw", lambda self, trainer, phase: drawn.append(trainer.current_epoch + 1))
     data = tiny.data_module(trajectory_file, batch_size=1024)
-    make_trainer(LatentPicture(10, every), epochs=4).fit(Alignment(tiny.policy(data), []), datamodule=data)
+    make_trainer(LatentPicture(10, every), epochs=4).fit(Alignment(tiny.policy(data), tiny.terms()), datamodule=data)
     assert drawn == epochs
 
 
@@ -68,7 +68,7 @@ def test_the_picture_goes_to_tensorboard_and_beside_it(
 ) -> None:
     data = tiny.data_module(trajectory_file, batch_size=1024)
     logger = TensorBoardLogger(tmp_path, name="alignment", version="")
-    phase = Alignment(tiny.policy(data), [])
+    phase = Alignment(tiny.policy(data), tiny.terms())
     make_trainer(LatentPicture(samples=10), epochs=1, logger=logger).fit(phase, datamodule=data)
     assert (tmp_path / "alignment" / "latents.png").read_bytes().startswith(b"\x89PNG")
     events = b"".join(file.read_bytes() for file in (tmp_path / "alignment").glob("events*"))
@@ -99,7 +99,7 @@ def test_the_score_says_which_states_are_joined(
     monkeypatch.setattr(latent_picture, "latent_figure", lambda latents, joined, kinds: drawn.append(joined))
     simulators = {name: domain.simulator for name, domain in tiny.domains().items()}
     data = tiny.data_module(trajectory_file, batch_size=1024)
-    phase = Alignment(tiny.policy(data), [])
+    phase = Alignment(tiny.policy(data), tiny.terms())
     picture = LatentPicture(10, 0, pairs, score, simulators)
     make_trainer(picture, epochs=1).fit(phase, datamodule=data)
     (joined,) = drawn
@@ -137,7 +137,7 @@ def test_arrangements_are_those_of_the_episodes_that_states_belong_to(
     monkeypatch.setattr(latent_picture, "latent_figure", lambda latents, joined, kinds: drawn.append(kinds))
     data = tiny.data_module(trajectory_file, batch_size=1024)
     picture = LatentPicture(10, simulators={"flat": Arranged(1), "tall": LinearPoint(2)})
-    make_trainer(picture, epochs=1).fit(Alignment(tiny.policy(data), []), datamodule=data)
+    make_trainer(picture, epochs=1).fit(Alignment(tiny.policy(data), tiny.terms()), datamodule=data)
     (kinds,) = drawn
     assert kinds["tall"] == []
     with TrajectoryFile.open(trajectory_file) as file:

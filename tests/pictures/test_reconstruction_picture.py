@@ -22,7 +22,7 @@ from plp_lightning.pictures.reconstructions import (
 
 def test_each_domains_own_images_are_shown_and_what_the_decoder_makes_of_them(seen_file: Path) -> None:
     data = seen.data_module(seen_file)
-    phase = Alignment(seen.policy(data), [])
+    phase = Alignment(seen.policy(data), tiny.terms())
     found = reconstructions(phase, data, 5)
     assert [*found] == ["left", "right"]
     for domain, (images, made) in found.items():
@@ -49,7 +49,9 @@ def test_the_last_epoch_leaves_the_picture(
 ) -> None:
     logger = TensorBoardLogger(tmp_path, name="alignment", version="")
     data = seen.data_module(seen_file, batch_size=256)
-    make_trainer(ReconstructionPicture(4), logger=logger).fit(Alignment(seen.policy(data), []), datamodule=data)
+    make_trainer(ReconstructionPicture(4), logger=logger).fit(
+        Alignment(seen.policy(data), tiny.terms()), datamodule=data
+    )
     logger.experiment.flush()
     events = EventAccumulator(logger.log_dir)
     events.Reload()
@@ -62,5 +64,7 @@ def test_nothing_is_drawn_without_an_image_decoder(
 ) -> None:
     logger = TensorBoardLogger(tmp_path, name="alignment", version="")
     data = tiny.data_module(trajectory_file, batch_size=1024)
-    make_trainer(ReconstructionPicture(4), logger=logger).fit(Alignment(tiny.policy(data), []), datamodule=data)
+    make_trainer(ReconstructionPicture(4), logger=logger).fit(
+        Alignment(tiny.policy(data), tiny.terms()), datamodule=data
+    )
     assert not [*Path(logger.log_dir).glob("*.png")]

@@ -54,6 +54,6 @@ def test_time_is_written_after_every_epoch(
         RunDirectory, "update_status", lambda self, state, phase, record: seen.append(record["seconds"])
     )
     data = tiny.data_module(trajectory_file, batch_size=1024)
-    make_trainer(Stopwatch(run, "alignment"), epochs=3).fit(Alignment(tiny.policy(data), []), datamodule=data)
+    make_trainer(Stopwatch(run, "alignment"), epochs=3).fit(Alignment(tiny.policy(data), tiny.terms()), datamodule=data)
     assert len(seen) == 3
     assert seen == sorted(seen)

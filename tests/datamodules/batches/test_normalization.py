@@ -17,7 +17,7 @@ def apply(affine: Affine, state: np.ndarray) -> list[float]:
 
 
 def build(scaling: dict[str, Scaling]) -> Affine:
-    return Affine.build(SPEC, Statistics.fit(STATE), scaling, clip=5.0)
+    return Affine.build(SPEC, Statistics.fit(STATE), scaling)
 
 
 def test_statistics_are_those_of_the_population() -> None:
@@ -59,5 +59,5 @@ def test_an_unknown_word_is_refused(word: str) -> None:
 
 
 def test_identity_changes_nothing_within_the_bound() -> None:
-    affine = Affine.build(SPEC, Statistics.identity(3), {}, clip=5.0)
+    affine = Affine.build(SPEC, Statistics.identity(3), {})
     assert apply(affine, np.array([1.5, -2.0, 9.0])) == [1.5, -2, 5]
