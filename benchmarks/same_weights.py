@@ -20,13 +20,16 @@ import torch
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from plp_lightning.callbacks.checkpointing import read_checkpoint
-from plp_lightning.methods.upgrade import upgrade_checkpoint
+from plp_lightning.callbacks.checkpointing import read_checkpoint  # noqa: E402
+from plp_lightning.methods.upgrade import upgrade_checkpoint  # noqa: E402
 
 METHODS = ("plp", "plp_t", "plp_t_disc", "gama", "cdil", "contextual", "bc")
 LEAKED = {
-    "gama": ["--alignment.discriminator_layers", "2"],
-    "cdil": ["--alignment.discriminator_layers", "3", "--alignment.penalty_weight", "0.1"],
+    "gama": ["--policy.policy_layers", "3", "--alignment.discriminator_layers", "2"],
+    "cdil": [
+        *["--policy.policy_layers", "3", "--alignment.discriminator_layers", "3"],
+        *["--alignment.penalty_weight", "0.1"],
+    ],
 }
 """Settings of classes to which earlier versions gave another class's defaults."""
 

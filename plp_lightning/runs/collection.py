@@ -56,12 +56,15 @@ class CollectionConfig(Configured):
         Args:
             other: The other recipe by setting, as stored in a file; what it lacks had its default.
         """
-        pairs = {name: (other.get(name, getattr(CollectionConfig, name)), getattr(self, name)) for name in DECISIVE}
+        known = {RENAMED.get(name, name): value for name, value in other.items()}
+        pairs = {name: (known.get(name, getattr(CollectionConfig, name)), getattr(self, name)) for name in DECISIVE}
         return {name: (found, own) for name, (found, own) in pairs.items() if found != own}
 
 
 DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
 """Settings of a recipe that decide what its demonstrations hold."""
+RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}
+"""Settings that are called otherwise in older files."""
 
 
 @dataclass(frozen=True)
