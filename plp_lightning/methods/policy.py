@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.settings import Configured
 from datamodules.types import Actor, Observation
@@ -52,11 +53,23 @@ class Policy(Configured, nn.Module, ABC):
         """
 
     @torch.inference_mode()
-    def act(self, observation: Observation[np.ndarray], domain: str, task: Sequence[str]) -> np.ndarray:
-        """Actions ``(B, A)`` for B observations of ``domain``, each with the name of its task."""
-        device = next(self.parameters()).device
+    def act(self, observation: Observation[np.ndarray], domain: str, task: str | Sequence[str]) -> np.ndarray:
+        """Actions ``(B, A)`` in [-1, 1] for B observations of a domain.
+
+        Args:
+            observation: Raw: state ``(B, O)``, image ``(B, H, W, C)`` uint8 or None.
+            domain: Name of the domain.
+            task: Name of the task of all rows, or of each.
+
+        Raises:
+            ConfigError: If the policy knows no such domain or task.
+        """
+        device, count = next(self.parameters()).device, len(observation.state)
         seen = {domain: observation.map(lambda x: torch.as_tensor(x, device=device))}
-        ids = torch.tensor([self.tasks[name] for name in task], device=device)
+        names = [task] * count if isinstance(task, str) else task
+        _check_known("domain", [domain], self.acts_in)
+        _check_known("task", names, self.tasks)
+        ids = torch.tensor([self.tasks[name] for name in names], device=device)
         actions: np.ndarray = self.predict_actions(seen, {domain: ids})[domain].cpu().numpy()
         return actions
 
@@ -75,3 +88,9 @@ class AligningPolicy(Policy):
     @abstractmethod
     def encode(self, observation: Observations) -> dict[str, Tensor]:
         """States ``(B_d, Z)`` of that space, by domain."""
+
+
+def _check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"found {what} {name!r}; expected one of: {', '.join(known)}")
