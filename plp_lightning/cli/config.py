@@ -20,6 +20,7 @@ from plp_lightning.cli.explanation import explain
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.proxy_tasks import some_proxy_tasks
+from plp_lightning.evaluation.joint_score import JointScore
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.runs.collection import CollectionConfig, ExpertCollector
 from plp_lightning.runs.experiment import (
@@ -89,7 +90,8 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     for name in phases:
         parser.add_argument(f"--{name}", type=PhaseFactory, help=f"phase {name}: class, losses, epochs, optimiser")
     parser.add_class_arguments(EvaluationPlan, "evaluation")
-    parser.add_argument("--score", type=AlignmentScore | None, help="alignment score")
+    scores = list[AlignmentScore] | AlignmentScore | None
+    parser.add_argument("--score", type=scores, default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
     parser.add_argument("--trainer.max_epochs", type=int | None, help="epochs of every phase, instead of its own")
     parser.add_class_arguments(Trainer, "trainer", skip=OURS, instantiate=False)
@@ -132,6 +134,8 @@ def build(parser: ArgumentParser, config: Namespace, phases: Sequence[str]) -> E
     _check_phases(config, phases)
     for name in {*phases} - {*config.phases}:
         del config[name]
+    # One score alone may stand without its list, as it did in configurations of before.
+    config.score = config.score if isinstance(config.score, list) else [config.score] if config.score else []
     check_numbers(dict(config.items()), config.phases)
     text = parser.dump(config.clone(), skip_unset=False)
     made = parser.instantiate(config)
@@ -150,7 +154,7 @@ def build(parser: ArgumentParser, config: Namespace, phases: Sequence[str]) -> E
         policy=made.policy,
         phases={name: made[name] for name in made.phases},
         evaluation=made.evaluation,
-        score=made.score,
+        score=JointScore(made.score) if made.score else None,
         callbacks=made.callbacks,
         trainer=dict(vars(made.trainer)),
         config=text,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -24,6 +25,9 @@ from plp_lightning.methods.policy import AligningPolicy
 
 class AlignmentScore(ABC):
     """Scores the latent states of source and target domain."""
+
+    names: ClassVar[tuple[str, ...]] = ()
+    """Names that its scores have; an experiment's scores share none."""
 
     @abstractmethod
     def __call__(
@@ -70,6 +74,8 @@ class ClosenessScore(AlignmentScore):
     Raises:
         ConfigError: If ``guided_episodes`` is not positive.
     """
+
+    names = ("closeness", "closeness_target")
 
     def __init__(self, samples: int = 2000, guide: Expert | None = None, guided_episodes: int = 24) -> None:
         if guided_episodes < 1:
@@ -127,6 +133,8 @@ class PairAccuracy(AlignmentScore):
     Args:
         samples: Pairs.
     """
+
+    names = ("top1", "top5")
 
     def __init__(self, samples: int = 1000) -> None:
         self.samples = samples
