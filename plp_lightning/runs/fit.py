@@ -37,6 +37,7 @@ from plp_lightning.runs.phase_progress import PhaseProgress
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.stopwatch import Stopwatch
+from plp_lightning.runs.versions import commit
 
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
@@ -64,6 +65,7 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
         origin: Run whose phases stand in for those before the first of ``phases``.
     """
     torch.set_num_threads(experiment.threads)
+    commit()  # as it is now: the checkout may change until the results are written
     run.update_status("running")
     with _failures_noted(run), stoppable():
         prepare_demonstrations(experiment, run)
@@ -106,7 +108,7 @@ def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pat
         trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
         record = assess(experiment, phase, trainer)
         log_hyperparameters(trainer, experiment, record)
-    run.update_status("running", name, record | {"state": "done"})
+    run.update_status("running", name, record | {"state": "done", "device": device_name(trainer.strategy.root_device)})
 
 
 def check_trainer(experiment: Experiment) -> None:
@@ -213,6 +215,11 @@ def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -
     outcomes = experiment.evaluate(policy, recorders=pictures.stages)
     pictures.publish(trainer)
     return {name: found.to_dict() for name, found in outcomes.items()}
+
+
+def device_name(device: torch.device) -> str:
+    """Gives ``cpu``, or the name of a GPU such as ``NVIDIA H100 80GB HBM3``."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
 def load_policy_weights(policy: Policy, checkpoint: Path) -> None:
