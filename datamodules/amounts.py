@@ -1,4 +1,4 @@
-"""How much a run trains on: demonstrations of each kind, and what a batch is made of."""
+"""Settings of data: demonstrations of each kind, contents of a batch, and where they lie."""
 
 from __future__ import annotations
 
@@ -42,3 +42,27 @@ class Batching(Configured):
     pairs: PositiveInt = 32
     stride: PositiveInt = 16
     mix_ratio: NonNegativeFloat = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataSettings(Demonstrations, Batching):
+    """Demonstrations of an experiment: of which tasks, how many, where they are, and what a batch holds of them.
+
+    Args:
+        source_domain: Domain whose demonstrations of the target task adapt the policy.
+        target_domain: Domain that the policy is transferred to.
+        target_task: Name of the target task.
+        proxy_goals: Goals that proxy tasks end at; all if not given.
+        root: Folder of trajectory files; PLP_DATA or data if not given.
+        file: Trajectory file; <root>/<experiment>.hdf5 if not given.
+        image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches ask
+            for them. The batches are the same.
+    """
+
+    source_domain: str
+    target_domain: str
+    target_task: str
+    proxy_goals: PositiveInt | None = None
+    root: str | None = None
+    file: str | None = None
+    image_memory: NonNegativeFloat = 4.0

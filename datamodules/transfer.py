@@ -18,11 +18,12 @@ from datamodules.batches.dataset import DomainDataset, build_dataset
 from datamodules.batches.images import Images, stored_images
 from datamodules.batches.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
 from datamodules.batches.normalization import Statistics
-from datamodules.batches.orders import AlignmentOrder, MixOrder, NoSteps, PairOrder, TaskwiseOrder, generator
+from datamodules.batches.orders import AlignmentOrder, MixOrder, NoSteps, PairOrder, TaskwiseOrder
 from datamodules.errors import MissingTrajectoriesError
 from datamodules.problem import TransferProblem, TransferRoles
 from datamodules.settings import NonNegativeFloat
 from datamodules.store.writer import TrajectoryFile
+from datamodules.streams import Stream, generator
 from datamodules.types import Batch, BatchSpec, Collector, DomainSpec
 
 Part = Literal["train", "val"]
@@ -154,7 +155,7 @@ class TransferDataModule(LightningDataModule):
         """Trajectory ids of ``tasks`` in one part of a domain's data; the parts never overlap."""
         wanted = np.array([self.tasks.index(task) for task in tasks])
         ids = self.datasets[domain].episodes_of(wanted)
-        order = generator(0, len(ids)).permutation(ids)
+        order = generator(Stream.VAL_SPLIT, len(ids)).permutation(ids)
         count = max(1, round(self.val_fraction * len(ids))) if self.val_fraction > 0 and len(ids) > 1 else 0
         return np.sort(order[:count] if part == "val" else order[count:])
 

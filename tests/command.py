@@ -24,7 +24,7 @@ from plp_lightning.runs.directory import RunDirectory
 
 ROOT = Path(__file__).parents[1]
 SMOKE = ["--config", str(ROOT / "configs" / "smoke.yaml")]
-TINY = ["--config", str(Path(__file__).parent / "conf" / "tiny.yaml")]
+TINY = ["--config", str(Path(__file__).parent / "conf" / "tiny.yaml"), "--score.samples", "50"]
 METHODS = sorted((ROOT / "configs" / "methods").glob("*.yaml"))
 
 processes = multiprocessing.get_context("forkserver")

@@ -7,13 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-ALIGNMENT, PAIRS, MIX = 1, 2, 3
-"""Streams of random numbers, so that no two uses of one (seed, epoch) see the same numbers."""
-
-
-def generator(*key: int) -> np.random.Generator:
-    """A random generator that depends on all of ``key`` and on nothing else."""
-    return np.random.default_rng(np.random.SeedSequence(key))
+from datamodules.streams import Stream, generator
 
 
 def shuffled(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -49,7 +43,9 @@ class AlignmentOrder:
         """Rows ``(steps, share)`` by domain."""
         count = self.steps * self.share
         return {
-            domain: shuffled(rows, count, generator(ALIGNMENT, self.seed, epoch, i)).reshape(self.steps, self.share)
+            domain: shuffled(rows, count, generator(Stream.ALIGNMENT_ROWS, self.seed, epoch, i)).reshape(
+                self.steps, self.share
+            )
             for i, (domain, rows) in enumerate(self.rows.items())
         }
 
@@ -85,9 +81,9 @@ class TaskwiseOrder(AlignmentOrder):
         }
 
     def _drawn(self, epoch: int) -> dict[str, np.ndarray]:
-        slots = self._slots(generator(ALIGNMENT, self.seed, epoch))
+        slots = self._slots(generator(Stream.BATCH_TASKS, self.seed, epoch))
         return {
-            domain: self._fill(slots, pools, generator(ALIGNMENT, self.seed, epoch, i))
+            domain: self._fill(slots, pools, generator(Stream.ALIGNMENT_ROWS, self.seed, epoch, i))
             for i, (domain, pools) in enumerate(self.rows_of.items())
         }
 
@@ -153,7 +149,7 @@ class MixOrder:
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
         """Rows by domain, for each step of the epoch; a domain without rows is left out."""
-        rng = generator(MIX, self.seed, epoch)
+        rng = generator(Stream.MIX, self.seed, epoch)
         chosen = shuffled(np.arange(len(self.pool)), self.mixed, rng) if self.mixed else np.zeros(0, dtype=np.int64)
         drawn = rng.permutation(np.concatenate([self.target, self.pool[chosen]]))
         return [self._by_domain(drawn[i : i + self.batch_size]) for i in range(0, len(drawn), self.batch_size)]
@@ -190,7 +186,7 @@ class PairOrder:
     def step(self, epoch: int, step: int) -> PairDraw:
         """The pairs of one step; with more than two domains the pairs of domains take turns."""
         first, second = self.domain_pairs[step % len(self.domain_pairs)]
-        rng = generator(PAIRS, self.seed, epoch, step)
+        rng = generator(Stream.PAIRS, self.seed, epoch, step)
         common = sorted(set(self.episodes[first]) & set(self.episodes[second]))
         tasks = rng.choice(common, self.count)
         drawn = np.stack([self._pick(domain, tasks, rng) for domain in (first, second)])

@@ -91,16 +91,32 @@ class RandomState(Callback):
         self.loaded = None
 
 
-def best_and_last(folder: Path, held_out: bool = True) -> list[ModelCheckpoint]:
+class BestCheckpoint(ModelCheckpoint):
+    """Writes ``best.ckpt``, by a held-out loss.
+
+    Args:
+        folder: Where it goes.
+        monitor: Name of the loss.
+    """
+
+    state_key = (
+        "ModelCheckpoint{'monitor': 'val/bc', 'mode': 'min', 'every_n_train_steps': 0, 'every_n_epochs': 1, "
+        "'train_time_interval': None}"
+    )
+    """The same whatever the loss is called: Lightning's own holds the name, and names have changed since some runs
+    began, which would forget their best when they are resumed."""
+
+    def __init__(self, folder: Path, monitor: str) -> None:
+        super().__init__(folder, "best", monitor=monitor, save_top_k=1, enable_version_counter=False)
+
+
+def best_and_last(folder: Path, monitor: str | None) -> list[ModelCheckpoint]:
     """``best.ckpt`` by held-out loss and ``last.ckpt``; one callback for both would let "last" fall behind.
 
     Args:
         folder: Where they go.
-        held_out: Whether there is a held-out loss to tell the best by.
+        monitor: Name of the held-out loss; None if nothing is held out, so that there is no best.
     """
-    best = ModelCheckpoint(
-        dirpath=folder, filename="best", monitor="val/bc", save_top_k=1, enable_version_counter=False
-    )
     last = ModelCheckpoint(
         dirpath=folder,
         filename="last",
@@ -110,4 +126,4 @@ def best_and_last(folder: Path, held_out: bool = True) -> list[ModelCheckpoint]:
         save_on_train_epoch_end=True,
         enable_version_counter=False,
     )
-    return [best, last] if held_out else [last]
+    return [last] if monitor is None else [BestCheckpoint(folder, monitor), last]

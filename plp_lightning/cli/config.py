@@ -7,7 +7,6 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,10 @@ import yaml
 from jsonargparse import ArgumentParser, Namespace, set_parsing_settings
 from lightning.pytorch import Callback, Trainer
 
-from datamodules.amounts import Batching, Demonstrations
+from datamodules.amounts import DataSettings
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferRoles
-from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
+from datamodules.settings import NonNegativeInt, PositiveInt
 from datamodules.transfer import TransferDataModule
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.cli.allowlist import ALLOWED_IMPORTS
@@ -28,6 +27,7 @@ from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.proxy_tasks import some_proxy_tasks
+from plp_lightning.evaluation.joint_score import JointScore
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.runs.collection import CollectionConfig, ExpertCollector
 from plp_lightning.runs.experiment import (
@@ -52,30 +52,6 @@ OURS = {
     "plugins",
 }
 """Arguments of the Trainer that a run sets itself."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DataSettings(Demonstrations, Batching):
-    """Demonstrations of an experiment: of which tasks, how many, where they are, and what a batch holds of them.
-
-    Args:
-        source_domain: Domain whose demonstrations of the target task adapt the policy.
-        target_domain: Domain that the policy is transferred to.
-        target_task: Name of the target task.
-        proxy_goals: Goals that proxy tasks end at; all if not given.
-        root: Folder of trajectory files; PLP_DATA or data if not given.
-        file: Trajectory file; <root>/<experiment>.hdf5 if not given.
-        image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches ask
-            for them. The batches are the same.
-    """
-
-    source_domain: str
-    target_domain: str
-    target_task: str
-    proxy_goals: PositiveInt | None = None
-    root: str | None = None
-    file: str | None = None
-    image_memory: NonNegativeFloat = 4.0
 
 
 def parse(arguments: Sequence[str]) -> Experiment:
@@ -188,7 +164,7 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     for name in phases:
         parser.add_argument(f"--{name}", type=PhaseFactory, help=f"phase {name}: class, losses, epochs, optimizer")
     parser.add_class_arguments(EvaluationPlan, "evaluation")
-    parser.add_argument("--score", type=list[AlignmentScore], default=[], help="alignment scores")
+    parser.add_argument("--score", type=list[AlignmentScore], default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
     parser.add_argument("--trainer.max_epochs", type=PositiveInt | None, help="epochs of every phase, not its own")
     parser.add_class_arguments(Trainer, "trainer", skip=OURS, instantiate=False)
@@ -244,7 +220,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         policy=made.policy,
         phases={name: made[name] for name in made.phases},
         evaluation=made.evaluation,
-        score=made.score[0] if made.score else None,
+        score=JointScore(made.score) if made.score else None,
         callbacks=made.callbacks,
         trainer=dict(vars(made.trainer)),
         config=yaml.safe_dump(kept, sort_keys=False),

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from datamodules.errors import ConfigError
+from datamodules.streams import Stream, generator
 from plp_lightning.envs.base import Simulator
-
-ORDER = 11
-"""Seed of the order in which goals are taken: the same for every run, so that fewer goals are among more."""
 
 
 def some_proxy_tasks(simulator: Simulator, target: str, goals: int | None) -> tuple[str, ...]:
@@ -28,6 +24,7 @@ def some_proxy_tasks(simulator: Simulator, target: str, goals: int | None) -> tu
     known = list(dict.fromkeys(simulator.target_of(task) for task in proxy_tasks))
     if not 1 <= goals <= len(known):
         raise ConfigError(f"--data.proxy_goals is {goals}; expected 1 to {len(known)}, as many as proxies have goals")
-    order = np.random.default_rng(ORDER).permutation(len(known))
+    # The same for every run, so that fewer goals are among more.
+    order = generator(Stream.PROXY_GOALS).permutation(len(known))
     chosen = {known[i] for i in order[:goals]}
     return tuple(task for task in proxy_tasks if simulator.target_of(task) in chosen)

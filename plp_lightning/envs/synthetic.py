@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from datamodules.errors import UserError
+from datamodules.streams import EpisodeStream, episode_generator, start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
 
@@ -78,7 +79,7 @@ class LinearPoint(Simulator):
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Points near the centre."""
         self.goals = self.goals_of(tasks, seeds)
-        self.point = np.array([np.random.default_rng(seed).uniform(-0.3, 0.3, 2) for seed in seeds])
+        self.point = np.array([start_generator(seed).uniform(-0.3, 0.3, 2) for seed in seeds])
         return self._observe(np.arange(len(tasks)))
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
@@ -127,7 +128,7 @@ class SeenPoint(LinearPoint):
         """Places of the three colours ``(E, 3, 2)`` in the plane."""
         angles = 2 * np.pi * np.arange(3) / 3
         places = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        return np.array([places[np.random.default_rng([seed, 1]).permutation(3)] for seed in seeds])
+        return np.array([places[episode_generator(seed, EpisodeStream.SPOTS).permutation(3)] for seed in seeds])
 
     def goals_of(self, tasks: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
         """Where the spots of the tasks' colours are, ``(E, 2)``."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from datamodules.batches.orders import generator
 from datamodules.errors import ConfigError
+from datamodules.streams import Stream, generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
@@ -21,12 +22,12 @@ from plp_lightning.evaluation.alignment import closeness, top_accuracy
 from plp_lightning.evaluation.simulation import EvalSetting
 from plp_lightning.methods.policy import AligningPolicy
 
-SAMPLE = 7
-"""Stream of random numbers for the states that are scored."""
-
 
 class AlignmentScore(ABC):
     """Scores the latent states of source and target domain."""
+
+    names: ClassVar[tuple[str, ...]] = ()
+    """Names that its scores have; an experiment's scores share none."""
 
     @abstractmethod
     def __call__(
@@ -73,6 +74,8 @@ class ClosenessScore(AlignmentScore):
     Raises:
         ConfigError: If ``guided_episodes`` is not positive.
     """
+
+    names = ("closeness", "closeness_target")
 
     def __init__(self, samples: int = 2000, guide: Expert | None = None, guided_episodes: int = 24) -> None:
         if guided_episodes < 1:
@@ -131,6 +134,8 @@ class PairAccuracy(AlignmentScore):
         samples: Pairs.
     """
 
+    names = ("top1", "top5")
+
     def __init__(self, samples: int = 1000) -> None:
         self.samples = samples
 
@@ -175,7 +180,7 @@ def sample_states(data: TransferDataModule, domain: str, count: int) -> Observat
 def sample_rows(data: TransferDataModule, domain: str, count: int) -> np.ndarray:
     """Rows of :func:`sample_states` in the domain's dataset."""
     rows = np.sort(np.concatenate([data.rows(data.proxy_tasks, part)[domain] for part in data.parts]))
-    chosen: np.ndarray = generator(SAMPLE, list(data.domains).index(domain)).permutation(rows)[:count]
+    chosen: np.ndarray = generator(Stream.SCORED_STATES, list(data.domains).index(domain)).permutation(rows)[:count]
     return chosen
 
 
@@ -204,7 +209,7 @@ def guided_states(
     rollout(simulator, act, turns, seeds)
     images = [part.image for part in seen if part.image is not None]
     joined = Observation(np.concatenate([part.state for part in seen]), np.concatenate(images) if images else None)
-    chosen = np.random.default_rng(SAMPLE).permutation(len(joined.state))[:count]
+    chosen = generator(Stream.GUIDED_STATES).permutation(len(joined.state))[:count]
     return joined.take(chosen).map(torch.from_numpy)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from datamodules.streams import episode_seed
+from datamodules.streams import Purpose, episode_seed
 from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.rollout import Episodes, rollout
@@ -55,7 +55,7 @@ class EvalSetting:
     domain: str
     tasks: tuple[str, ...]
 
-    def in_turn(self, purpose: str, seed: int, episodes: int) -> tuple[list[str], list[int]]:
+    def in_turn(self, purpose: Purpose, seed: int, episodes: int) -> tuple[list[str], list[int]]:
         """Task and seed of each episode; the tasks take turns."""
         tasks = [self.tasks[i % len(self.tasks)] for i in range(episodes)]
         return tasks, [episode_seed(purpose, seed, self.domain, t, i // len(self.tasks)) for i, t in enumerate(tasks)]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 from torch.optim import AdamW, Optimizer
 from torch.optim.lr_scheduler import CosineAnnealingLR, LambdaLR, LRScheduler
 
-from datamodules.settings import Fraction, NonNegativeFloat, Share
+from datamodules.settings import Configured, Fraction, NonNegativeFloat, Share
 
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 """Makes an optimizer of parameters, or of groups of them."""
@@ -17,7 +17,7 @@ SchedulerFactory = Callable[[Optimizer], LRScheduler]
 """Makes what changes an optimizer's rates: one of the two below, or any of torch's."""
 
 
-class FusedAdamW(AdamW):
+class FusedAdamW(Configured, AdamW):
     """AdamW (paper, appendix) in its fused form, one pass over all parameters, and without torch's own weight decay.
 
     See "Decoupled Weight Decay Regularization" (https://arxiv.org/abs/1711.05101).

@@ -38,9 +38,10 @@ class Phase(Configured, LightningModule, Generic[P]):
     """Which policies it can train."""
     batch_spec: BatchSpec = BatchSpec()
     """Which batches the DataModule shall give."""
-
     monitor: ClassVar[str] = "val/bc"
-    """Held-out loss that the best checkpoint is chosen by."""
+    """Held-out loss by which the best checkpoint is chosen."""
+    policy_acts: ClassVar[bool] = True
+    """Whether what acts has been trained when the phase ends; if not, its success is not evaluated."""
 
     def __init__(
         self, policy: P, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None

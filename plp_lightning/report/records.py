@@ -4,43 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from datamodules.errors import ConfigError
+from plp_lightning.report.record import Record
+from plp_lightning.report.settings import check_settings
 
-
-@dataclass(frozen=True)
-class Record:
-    """One run's outcome on its target task; success rates are between 0 and 1.
-
-    Attributes:
-        success: In the target domain, at the end.
-        low: Lower end of its 95 % interval.
-        high: Upper end of it.
-        before: In the target domain before adaptation; None for a method without adaptation.
-        source: In the source domain, at the end.
-        proxy: On proxy tasks in the target domain, at the end.
-        alignment: Scores by name, such as ``top5`` or ``closeness``.
-        seconds: Time of all phases together, without collecting.
-    """
-
-    experiment: str
-    method: str
-    target: str
-    seed: int
-    success: float
-    low: float
-    high: float
-    before: float | None
-    source: float | None
-    proxy: float | None
-    alignment: Mapping[str, float]
-    seconds: float
-
-
-COLUMNS = [field.name for field in fields(Record)]
+UNTRAINED_BEFORE = {"cdil"}
+"""Methods whose older results tell the success of what was not trained yet as that before adaptation."""
+COUNTED = {"success", "before", "episodes", "invalid", "interval"}
+"""Keys of every outcome; others are measures of behaviour."""
 
 
 def read_records(paths: Sequence[Path]) -> list[Record]:
@@ -50,19 +24,21 @@ def read_records(paths: Sequence[Path]) -> list[Record]:
         paths: Run directories, folders above them, or JSON files as ``plp fit`` leaves them.
 
     Raises:
-        ConfigError: If a path is missing or holds no results, a file is damaged, or two stand for the same run.
+        ConfigError: If a path is missing or holds no results, a file is damaged, two stand for the same run, or runs
+            that would be averaged were made with different settings.
     """
     contents = {file.resolve(): content for path in paths for file, content in _results(path).items()}
     found: dict[tuple[str, str, str, int], Path] = {}
-    records = []
+    records: dict[Path, Record] = {}
     for file, content in sorted(contents.items(), key=lambda item: item[0]):
         record = _record(file, content)
         key = (record.experiment, record.method, record.target, record.seed)
         if key in found:
             raise ConfigError(f"{file} and {found[key]} hold the same run {'/'.join(map(str, key))}; name one of them")
         found[key] = file
-        records.append(record)
-    return records
+        records[file] = record
+    check_settings(records)
+    return [*records.values()]
 
 
 def _results(path: Path) -> dict[Path, Any]:
@@ -99,11 +75,13 @@ def _record(file: Path, content: Any) -> Record:
             success=float(target["success"]),
             low=float(target["interval"][0]),
             high=float(target["interval"][1]),
-            before=None if target["before"] is None else float(target["before"]),
+            before=_before(content),
             source=_success(content, "source"),
             proxy=_success(content, "proxy"),
             alignment={str(name): float(value) for name, value in content["alignment"].items()},
             seconds=sum(float(value) for name, value in content["seconds"].items() if name != "collection"),
+            settings=None if content.get("settings") is None else dict(content["settings"]),
+            behaviour={name: float(v) for name, v in target.items() if name not in COUNTED and v is not None},
         )
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         reason = f"{type(error).__name__}: {error}"
@@ -112,3 +90,9 @@ def _record(file: Path, content: Any) -> Record:
 
 def _success(content: Mapping[str, Any], trial: str) -> float | None:
     return float(content[trial]["success"]) if trial in content else None
+
+
+def _before(content: Mapping[str, Any]) -> float | None:
+    older = "settings" not in content and content["method"] in UNTRAINED_BEFORE
+    before = content["target"]["before"]
+    return None if before is None or older else float(before)

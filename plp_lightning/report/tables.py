@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import statistics
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
 import yaml
 
-from plp_lightning.report.records import COLUMNS, Record
+from plp_lightning.report.record import Record
 
 Paper = Mapping[str, Mapping[str, tuple[float, float]]]
 """Mean and standard deviation by experiment and method."""
+COLUMNS = [field.name for field in fields(Record)]
+MEASURES = ("alignment", "behaviour")
+"""Fields whose every entry is a column."""
+MARK = "†"
 
 
 @cache
@@ -39,31 +45,35 @@ def markdown(records: Sequence[Record]) -> str:
             "",
             *_rows(["experiment", "method", "runs", "success", "before adaptation", "the paper"], _methods(ordered)),
             "",
+            *_remark(ordered),
             *_side_by_side(ordered),
             "## Runs",
             "",
             "Success with its 95 % interval; alignment scores on proxy tasks.",
             "",
-            *_rows(
-                ["experiment", "method", "target", "seed", "success", "before", "source", "proxies", "alignment"],
-                [_run(record) for record in ordered],
-            ),
+            *_runs(ordered),
             "",
         ]
     )
 
 
 def comma_separated(records: Sequence[Record]) -> str:
-    """A line a run; columns are the fields of :class:`Record`, and each alignment score is one."""
-    scores = sorted({name for record in records for name in record.alignment})
-    plain = [name for name in COLUMNS if name != "alignment"]
+    """A line a run; columns are the fields of :class:`Record`, and each score and measure of behaviour is one."""
+    measures = [(field, name) for field in MEASURES for name in sorted(_names(records, field))]
+    plain = [name for name in COLUMNS if name not in (*MEASURES, "settings")]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*plain, *scores])
+    writer.writerow([*plain, *(name for _, name in measures), "settings"])
     for record in sorted(records, key=_rank):
         cells = [getattr(record, name) for name in plain]
-        writer.writerow(cells + [record.alignment.get(name) for name in scores])
+        cells += [getattr(record, field).get(name) for field, name in measures]
+        settings = "not recorded" if record.settings is None else json.dumps(record.settings)
+        writer.writerow([*cells, settings])
     return text.getvalue()
+
+
+def _names(records: Sequence[Record], field: str) -> set[str]:
+    return {name for record in records for name in getattr(record, field)}
 
 
 def _rank(record: Record) -> tuple[int, str, int, str, str, int]:
@@ -79,16 +89,21 @@ def _place(name: str, order: Sequence[str]) -> tuple[int, str]:
 
 
 def _methods(ordered: Sequence[Record]) -> list[list[str]]:
-    groups: dict[tuple[str, str], list[Record]] = defaultdict(list)
+    groups: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
     for record in ordered:
-        groups[record.experiment, record.method].append(record)
+        groups[record.experiment, record.method, f" {MARK}" if record.settings is None else ""].append(record)
     rows = []
-    for (experiment, method), group in groups.items():
+    for (experiment, method, mark), group in groups.items():
         paper = paper_values().get(experiment, {}).get(method)
         before = [record.before for record in group if record.before is not None]
         success = _spread([record.success for record in group])
-        rows.append([experiment, method, str(len(group)), success, _spread(before), _pair(paper)])
+        rows.append([experiment, method, f"{len(group)}{mark}", success, _spread(before), _pair(paper)])
     return rows
+
+
+def _remark(records: Sequence[Record]) -> list[str]:
+    unknown = any(record.settings is None for record in records)
+    return [f"{MARK} settings not recorded: these results are older than that record.", ""] if unknown else []
 
 
 def _side_by_side(ordered: Sequence[Record]) -> list[str]:
@@ -120,11 +135,24 @@ def _rate(rate: float | None) -> str:
     return "–" if rate is None else f"{rate:.2f}"
 
 
+def _runs(ordered: Sequence[Record]) -> list[str]:
+    header = ["experiment", "method", "target", "seed", "success", "before", "source", "proxies", "alignment"]
+    rows = [_run(record) for record in ordered]
+    if _names(ordered, "behaviour"):
+        header.append("behaviour")
+        rows = [[*row, _named(record.behaviour)] for row, record in zip(rows, ordered, strict=True)]
+    return _rows(header, rows)
+
+
 def _run(record: Record) -> list[str]:
     success = f"{record.success:.2f} ({record.low:.2f} – {record.high:.2f})"
     others = [_rate(rate) for rate in (record.before, record.source, record.proxy)]
-    scores = ", ".join(f"{name} {value:.2f}" for name, value in record.alignment.items())
-    return [record.experiment, record.method, record.target, str(record.seed), success, *others, scores or "–"]
+    names = [record.experiment, record.method, record.target, str(record.seed)]
+    return [*names, success, *others, _named(record.alignment)]
+
+
+def _named(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in values.items()) or "–"
 
 
 def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -17,7 +17,7 @@ import numpy as np
 from datamodules.errors import UserError
 from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.store.writer import TrajectoryFile, add_trajectories
-from datamodules.streams import episode_seed
+from datamodules.streams import EpisodeStream, episode_generator, episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.rollout import rollout
@@ -223,14 +223,14 @@ class Demonstrator:
         assert domain.expert is not None
         self.expert, self.noise, self.random_start_steps = domain.expert, noise, random_start_steps
         self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
-        self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
+        self.generators = [episode_generator(seed, EpisodeStream.ACTION_NOISE) for seed in seeds]
         self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
 
     @cached_property
     def drifts(self) -> np.ndarray:
         """``(E, A)``: the random action of each episode before the expert takes over."""
         size = self.simulator.spec("").action_size
-        drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in self.seeds]
+        drifts = [episode_generator(seed, EpisodeStream.RANDOM_START).uniform(-1, 1, size) for seed in self.seeds]
         return np.array(drifts, dtype=np.float32)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:

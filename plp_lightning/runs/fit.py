@@ -38,6 +38,7 @@ from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.stopwatch import Stopwatch
+from plp_lightning.runs.versions import commit
 
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
@@ -65,6 +66,7 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
         origin: Run whose phases stand in for those before the first of ``phases``.
     """
     torch.set_num_threads(experiment.threads)
+    commit()  # as it is now: the checkout may change until the results are written
     run.update_status("running")
     with _failures_noted(run), stoppable():
         prepare_demonstrations(experiment, run)
@@ -105,9 +107,9 @@ def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pat
         resumed_step = _step_of(last) if last.exists() else None
         trainer = build_trainer(experiment, run, name, phase, resumed_step, [stopwatch])
         trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
-        record = assess(experiment, policy, trainer)
+        record = assess(experiment, phase, trainer)
         log_hyperparameters(trainer, experiment, record)
-    run.update_status("running", name, record | {"state": "done"})
+    run.update_status("running", name, record | {"state": "done", "device": device_name(trainer.strategy.root_device)})
 
 
 def check_trainer(experiment: Experiment) -> None:
@@ -168,7 +170,7 @@ def build_trainer(
             MetricsFile(folder),
         ],
         callbacks=[
-            *_own_callbacks(experiment, run, name, phase.policy),
+            *_own_callbacks(experiment, run, name, phase),
             *further,
             *copy.deepcopy(list(experiment.callbacks)),
         ],
@@ -184,35 +186,41 @@ def quiet_lightning() -> None:
         warnings.filterwarnings("ignore", message=message)
 
 
-def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, policy: Policy) -> list[Callback]:
+def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> list[Callback]:
     plan, simulators = experiment.evaluation, experiment.simulators
-    every = plan.every_n_epochs.get(name)
-    found: list[Callback] = [
-        FreezeGuard(),
-        FiniteGuard(),
-        RandomState(),
-        SimulatorEvaluation(simulators, experiment.eval_settings_of(policy), plan.episodes, every, experiment.seed),
-    ]
+    found: list[Callback] = [FreezeGuard(), FiniteGuard(), RandomState()]
+    if phase.policy_acts:
+        settings, every = experiment.eval_settings_of(phase.policy), plan.every_n_epochs.get(name)
+        found.append(SimulatorEvaluation(simulators, settings, plan.episodes, every, experiment.seed))
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
     if plan.latent_states > 0:
-        settings = plan.latent_states, plan.latent_every_n_epochs, plan.latent_pairs
-        found.append(LatentPicture(*settings, experiment.score, simulators))
+        drawn = plan.latent_states, plan.latent_every_n_epochs, plan.latent_pairs
+        found.append(LatentPicture(*drawn, experiment.score, simulators))
     if plan.reconstructions > 0:
         found.append(ReconstructionPicture(plan.reconstructions))
-    folder, held_out = run.checkpoint(name).parent, experiment.data.val_fraction > 0
-    return [*found, PhaseProgress(name), Preemption(run.checkpoint(name)), *best_and_last(folder, held_out)]
+    last, monitor = run.checkpoint(name), phase.monitor if experiment.data.val_fraction > 0 else None
+    return [*found, PhaseProgress(name), Preemption(last), *best_and_last(last.parent, monitor)]
 
 
-def assess(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, Any]:
-    """Success in all trials and alignment scores at the end of a phase; episodes of the target task are pictured."""
-    policy.eval()
+def assess(experiment: Experiment, phase: Phase, trainer: Trainer) -> dict[str, Any]:
+    """Gives alignment scores at the end of a phase and, if the policy acts by then, its success in all trials."""
+    phase.policy.eval()
+    trials = _pictured_trials(experiment, phase.policy, trainer) if phase.policy_acts else {}
+    return {"trials": trials, "alignment": experiment.alignment(phase.policy)}
+
+
+def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, dict[str, Any]]:
     settings, shown = experiment.eval_settings_of(policy), experiment.evaluation.films
     pictures = EpisodePictures.of(experiment.simulators, settings, experiment.data.target_task, shown)
     outcomes = experiment.evaluate(policy, recorders=pictures.stages)
-    scores = experiment.alignment(policy)
     pictures.publish(trainer)
-    return {"trials": {name: found.to_dict() for name, found in outcomes.items()}, "alignment": scores}
+    return {name: found.to_dict() for name, found in outcomes.items()}
+
+
+def device_name(device: torch.device) -> str:
+    """Gives ``cpu``, or the name of a GPU such as ``NVIDIA H100 80GB HBM3``."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
 def _step_of(checkpoint: Path) -> int:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from lightning.pytorch import Callback, LightningModule, Trainer
 
+from plp_lightning.methods.phase import Phase
 from plp_lightning.runs.progress import JobProgress
 
 
@@ -28,7 +30,7 @@ class PhaseProgress(Callback):
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """One more epoch."""
         assert self.progress is not None
-        self.progress.advance(1, _note(trainer.callback_metrics))
+        self.progress.advance(1, _note(trainer.callback_metrics, pl_module))
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Leave the line."""
@@ -42,6 +44,7 @@ class PhaseProgress(Callback):
             self.progress.__exit__(type(exception), exception, None)
 
 
-def _note(metrics: Any) -> str:
-    shown = {"val/bc": "held-out loss {:.4f}", "eval/target_success": "target success {:.2f}"}
+def _note(metrics: Mapping[str, Any], phase: LightningModule) -> str:
+    monitor = phase.monitor if isinstance(phase, Phase) else ""
+    shown = {monitor: "held-out loss {:.4f}", "eval/target_success": "target success {:.2f}"}
     return ", ".join(text.format(float(metrics[key])) for key, text in shown.items() if key in metrics)

@@ -13,7 +13,8 @@ from rich.table import Table
 
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
-from plp_lightning.runs.versions import versions
+from plp_lightning.runs.settings import config_hash, differing_settings
+from plp_lightning.runs.versions import OURS, commit, versions
 
 ROWS = {
     "target": "target task in target domain",
@@ -21,6 +22,8 @@ ROWS = {
     "proxy": "proxy tasks in target domain",
     "proxy_source": "proxy tasks in source domain",
 }
+COUNTED = {"success", "before", "episodes", "invalid", "interval"}
+"""Keys of every outcome; others are measures of behaviour, and each is a column of its own."""
 
 
 def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None = None) -> dict[str, Any]:
@@ -46,11 +49,24 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         "seconds": {"collection": run.status().get("collection_seconds", 0.0)}
         | {name: record["seconds"] for name, record in done},
         "data_sha256": experiment.data.fingerprint,
-        "versions": versions(),
+        "device": last.get("device"),
+        **_made_with(experiment),
     }
     run.write_json("results.json", results)
     print_results(results, run)
     return results
+
+
+def _made_with(experiment: Experiment) -> dict[str, Any]:
+    """Settings and code that results were made with."""
+    resolved, found = yaml.safe_load(experiment.config), versions()
+    return {
+        "settings": differing_settings(resolved),
+        "config_sha256": config_hash(resolved),
+        "commit": commit(),
+        "version": found.get(OURS),
+        "versions": found,
+    }
 
 
 def _trials_before(
@@ -85,24 +101,33 @@ def print_success(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None
 
 def _print_table(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
     table = Table(title=title)
-    for column in ("success", "rate", "95 % interval", "before adaptation", "episodes", "invalid"):
-        table.add_column(column, justify="left" if column == "success" else "right")
-    for trial, label in ROWS.items():
-        if trial in outcomes:
-            table.add_row(label, *_cells(outcomes[trial]))
+    shown = {trial: outcomes[trial] for trial in ROWS if trial in outcomes}
+    behaviour = list(dict.fromkeys(name for outcome in shown.values() for name in outcome if name not in COUNTED))
+    table.add_column("success", no_wrap=True)
+    for column in ("rate", "95 % interval", "before adaptation", "episodes", "invalid", *behaviour):
+        table.add_column(column.replace("_", " "), justify="right")
+    for trial, outcome in shown.items():
+        table.add_row(ROWS[trial], *_cells(outcome), *(_number(outcome.get(name)) for name in behaviour))
     Console(width=None if Console().is_terminal else 110).print(table)
 
 
 def _cells(outcome: Mapping[str, Any]) -> list[str]:
     low, high = outcome["interval"]
-    before = "–" if outcome["before"] is None else f"{outcome['before']:.2f}"
     counts = [str(outcome["episodes"]), str(outcome["invalid"])]
-    return [f"{outcome['success']:.2f}", f"{low:.2f} – {high:.2f}", before, *counts]
+    return [_number(outcome["success"]), f"{low:.2f} – {high:.2f}", _number(outcome["before"]), *counts]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
 
 
 def log_hyperparameters(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any]) -> None:
-    """The flattened configuration with the final success rates, for TensorBoard's HPARAMS page."""
-    settings = _flat(yaml.safe_load(experiment.config))
+    """Writes settings and final success rates for TensorBoard's HPARAMS page: first what tells this run from others."""
+    resolved = yaml.safe_load(experiment.config)
+    names: dict[str, Any] = {"experiment": experiment.name, "method": experiment.method}
+    names |= {"target_task": experiment.data.target_task, "seed": experiment.seed}
+    first = _flat(names | differing_settings(resolved))
+    settings = first | {key: value for key, value in _flat(resolved).items() if key not in first}
     metrics = {f"final/{name}_success": outcome["success"] for name, outcome in record["trials"].items()}
     metrics |= {f"final/{name}": value for name, value in record["alignment"].items()}
     for logger in trainer.loggers:
@@ -117,7 +142,7 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, str | float | 
     leaves: dict[str, str | float | int | bool] = {}
     for key, value in tree.items():
         if isinstance(value, dict):
-            leaves |= _flat(value, f"{prefix}{key}.")
+            leaves |= _flat(value, prefix if key == "init_args" else f"{prefix}{key}.")
         elif value is not None and not prefix.startswith("trainer"):
             leaves[prefix + key] = value if isinstance(value, str | float | int | bool) else str(value)
     return leaves

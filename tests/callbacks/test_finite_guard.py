@@ -58,7 +58,7 @@ def test_divergence_ends_a_run_and_spares_the_checkpoints(
     data = tiny.data_module(trajectory_file)
     phase = Diverging(tiny.policy(data), [])
     phase.late = late
-    trainer = make_trainer(FiniteGuard(every_n_steps=2), *best_and_last(tmp_path / "checkpoints"), epochs=2)
+    trainer = make_trainer(FiniteGuard(every_n_steps=2), *best_and_last(tmp_path / "checkpoints", "val/bc"), epochs=2)
     with pytest.raises(DivergedError, match=rf"Diverging, epoch 0, step \d+: {what} is not finite"):
         trainer.fit(phase, datamodule=data)
     assert list(tmp_path.glob("checkpoints/*")) == []

@@ -9,6 +9,7 @@ import yaml
 from command import ROOT, checkpoint, dies, plp, results, same, smoke_run, tiny_smoke
 
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.metrics_file import read_rows
 
 OVERLAY = ["--config", str(ROOT / "configs" / "methods" / "cdil.yaml")]
 PHASES = ("positions", "alignment", "dynamics", "adaptation")
@@ -41,6 +42,22 @@ def test_a_run_gives_results_and_can_be_tested_again(unbroken: RunDirectory) -> 
     assert 0 <= found["alignment"]["closeness"] <= 1
     answer = plp("test", unbroken.path)
     assert answer.code == 0, answer
+
+
+def test_success_is_evaluated_where_what_acts_has_been_trained(unbroken: RunDirectory) -> None:
+    assert [sorted(unbroken.phase_record(phase)["trials"]) for phase in PHASES[:3]] == [[]] * 3
+    assert results(unbroken)["target"]["before"] is None
+    answer = plp("fit", "--resume", unbroken.path)
+    assert next(line for line in answer.out.splitlines() if "target task in target domain" in line).count("–") == 2
+
+
+def test_checkpoints_are_chosen_by_the_sum_of_a_phase_s_own_losses(unbroken: RunDirectory) -> None:
+    for phase in PHASES:
+        values = {name: float(value) for _, name, value in read_rows(unbroken.phase(phase) / "metrics.csv")}
+        own = [value for name, value in values.items() if name.startswith("val/") and name != "val/loss"]
+        assert values["val/loss"] == pytest.approx(sum(own), rel=1e-4)
+        assert "val/bc" not in values
+        assert unbroken.checkpoint(phase, "best").exists()
 
 
 def test_a_phase_changes_the_parts_that_it_trains_and_no_others(unbroken: RunDirectory) -> None:

@@ -85,6 +85,9 @@ def test_it_runs_through_the_command_line_and_is_tested_again(unbroken: RunDirec
     found = json.loads(unbroken.results.read_text())
     assert (found["method"], found["phases"]) == ("gama", list(PHASES))
     assert 0 <= found["alignment"]["closeness"] <= 1
+    # The target's actions come from maps that pretraining leaves as they were.
+    assert [bool(unbroken.phase_record(phase)["trials"]) for phase in PHASES] == [False, True, True]
+    assert found["target"]["before"] == unbroken.phase_record("alignment")["trials"]["target"]["success"]
     answer = plp("test", unbroken.path, "--output", tmp_path / "test.json")
     assert answer.code == 0, answer
     assert json.loads((tmp_path / "test.json").read_text())["trials"]["target"]["episodes"] == 4

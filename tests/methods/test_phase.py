@@ -70,7 +70,7 @@ def test_a_checkpoint_rebuilds_the_policy_without_its_configuration(
 ) -> None:
     data = tiny.data_module(trajectory_file)
     phase = Adaptation(tiny.policy(data))
-    make_trainer(RandomState(), *best_and_last(tmp_path / "c"), epochs=1).fit(phase, datamodule=data)
+    make_trainer(RandomState(), *best_and_last(tmp_path / "c", "val/bc"), epochs=1).fit(phase, datamodule=data)
     assert {file.name for file in (tmp_path / "c").iterdir()} == {"best.ckpt", "last.ckpt"}
     for which in ("best", "last"):
         checkpoint = read_checkpoint(tmp_path / "c" / f"{which}.ckpt")
@@ -91,7 +91,7 @@ def test_a_run_that_was_stopped_gives_the_weights_of_an_unbroken_one(
     def run(folder: str, epochs: int, resume: Path | None = None) -> dict[str, torch.Tensor]:
         data = tiny.data_module(trajectory_file, batch_size=100)
         phase = Alignment(tiny.policy(data), tiny.terms("mmd", "tcc"), optimizer=tiny.adamw(1e-3))
-        trainer = make_trainer(RandomState(), *best_and_last(tmp_path / folder), epochs=epochs)
+        trainer = make_trainer(RandomState(), *best_and_last(tmp_path / folder, "val/bc"), epochs=epochs)
         trainer.fit(phase, datamodule=data, ckpt_path=resume, weights_only=True)
         return {name: value.clone() for name, value in phase.state_dict().items()}
 

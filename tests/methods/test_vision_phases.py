@@ -147,7 +147,7 @@ def test_a_stopped_run_gives_the_weights_of_an_unbroken_one(
 ) -> None:
     def run(folder: str, epochs: int, place: float, resume: Path | None = None) -> dict[str, Tensor]:
         data = seen.data_module(seen_file, place)
-        trainer = make_trainer(RandomState(), *best_and_last(tmp_path / folder), epochs=epochs)
+        trainer = make_trainer(RandomState(), *best_and_last(tmp_path / folder, "val/bc"), epochs=epochs)
         return trained(align(data, ["mmd", "tcc"]), data, trainer, resume)
 
     unbroken = run("unbroken", 2, seen.IN_MEMORY)

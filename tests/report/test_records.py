@@ -65,3 +65,47 @@ def test_nothing_to_report_is_told(tmp_path):
         read_records([tmp_path])
     with pytest.raises(ConfigError, match="no such file or folder"):
         read_records([tmp_path / "runs"])
+
+
+def settings(**changes):
+    return {"settings": {"alignment.lr": 0.001, "data.target_task": "goal_1_6"} | changes}
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "told"),
+    [
+        ({"alignment.lr": 0.002}, {}, r"alignment\.lr \(0\.002 and 0\.001\)"),
+        ({}, {"alignment.mmd_weight": 0.5}, r"alignment\.mmd_weight \(the default and 0\.5\)"),
+        (dict.fromkeys("abcd", 1), {}, r"a \(1 and the default\), b .*, c .* and 1 more"),
+        ({"trainer.precision": "bf16-mixed"}, {}, r"trainer\.precision \(bf16-mixed and the default\)"),
+    ],
+)
+def test_runs_whose_settings_differ_are_not_averaged(one, other, told, tmp_path):
+    first, second = write(tmp_path / "a", **settings(**one)), write(tmp_path / "b", seed=1, **settings(**other))
+    wanted = f"{first} and {second} are runs of plp on p2p_medium, but differ in {told}; .*: report them apart"
+    with pytest.raises(ConfigError, match=wanted):
+        read_records([tmp_path])
+    (alone,) = read_records([second])
+    assert alone.settings == settings(**other)["settings"]
+
+
+def test_seeds_goals_places_threads_and_what_is_looked_at_may_differ(tmp_path):
+    write(tmp_path / "a", **settings())
+    changes = {"data.target_task": "goal_6_6", "data.root": "/data", "threads": 2, "domains.point.simulator.threads": 4}
+    changes |= {"evaluation.final_episodes": 20, "score.0.samples": 9, "trainer.accelerator": "gpu"}
+    write(tmp_path / "b", target_task="goal_6_6", seed=3, **settings(**changes))
+    write(tmp_path / "c", method="plp_t", **settings(**{"alignment.lr": 5.0}))  # of another method
+    write(tmp_path / "d", seed=1)  # from before settings were written down
+    assert [record.settings is None for record in read_records([tmp_path])] == [False, False, False, True]
+
+
+def test_further_numbers_of_an_outcome_are_read(tmp_path):
+    target = RESULT["target"] | {"episodes": 9, "invalid": 0, "steps_to_success": 12.5, "path_ratio": None}
+    (record,) = read_records([write(tmp_path, target=target)])
+    assert record.behaviour == {"steps_to_success": 12.5}
+
+
+def test_older_results_of_cdil_tell_nothing_of_before_adaptation(tmp_path):
+    write(tmp_path / "a", method="cdil")
+    write(tmp_path / "b", method="cdil", seed=1, **settings())
+    assert [record.before for record in read_records([tmp_path])] == [None, 0.1]

@@ -2,19 +2,23 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 
 import pytest
 from command import METHODS, ROOT, complaint, plp
 
-from plp_lightning.report.records import Record, read_records
+from plp_lightning.report.record import Record
+from plp_lightning.report.records import read_records
 from plp_lightning.report.tables import comma_separated, markdown, paper_values
 
 PAGES = {path.stem for path in (ROOT / "configs").glob("*.yaml")}
 
 
-def record(method="plp", seed=0, success=0.5, experiment="r2r", target="x0y0h0", alignment=None):
+def record(method="plp", seed=0, success=0.5, experiment="r2r", target="x0y0h0", alignment=None, **further):
+    scores = alignment or {"closeness": 0.5}
     return Record(
-        experiment, method, target, seed, success, 0.25, 0.75, 0.0, None, 1.0, alignment or {"closeness": 0.5}, 60.0
+        *(experiment, method, target, seed, success, 0.25, 0.75, 0.0, None, 1.0, scores, 60.0),
+        **{"settings": {}, **further},
     )
 
 
@@ -30,6 +34,33 @@ def test_methods_stand_side_by_side_in_the_paper_s_order():
         "| new | plp | 1 | 0.50 | 0.00 | – |",
     ]
     assert "| r2r | plp | x0y0h0 | 0 | 0.75 (0.25 – 0.75) | 0.00 | – | 1.00 | closeness 0.50 |" in dataset
+
+
+def test_results_whose_settings_nobody_wrote_down_are_averaged_with_each_other_and_marked():
+    older = [record(success=1.0, settings=None), record(success=0.5, seed=1, settings=None)]
+    lines = markdown([*older, record(success=0.75, seed=2)]).splitlines()
+    assert "| r2r | plp | 2 † | 0.75 ± 0.35 | 0.00 ± 0.00 | 0.63 ± 0.37 |" in lines
+    assert "| r2r | plp | 1 | 0.75 | 0.00 | 0.63 ± 0.37 |" in lines
+    assert any(line.startswith("† settings not recorded") for line in lines)
+    assert "†" not in markdown([record()])
+
+
+def test_measures_of_behaviour_are_shown_where_there_are_some():
+    runs = [record(behaviour={"steps_to_success": 12.5}), record(seed=1)]
+    lines = markdown(runs).splitlines()
+    assert "| r2r | plp | x0y0h0 | 0 | 0.50 (0.25 – 0.75) | 0.00 | – | 1.00 | closeness 0.50 |" in " ".join(lines)
+    assert next(line for line in lines if "| x0y0h0 | 0 |" in line).endswith("| steps_to_success 12.50 |")
+    assert next(line for line in lines if "| x0y0h0 | 1 |" in line).endswith("| – |")
+    first, second = csv.DictReader(io.StringIO(comma_separated(runs)))
+    assert (first["steps_to_success"], second["steps_to_success"]) == ("12.5", "")
+
+
+def test_csv_has_the_settings_of_each_run():
+    known, unknown = csv.DictReader(
+        io.StringIO(comma_separated([record(settings={"alignment.lr": 0.5}), record(seed=1, settings=None)]))
+    )
+    assert json.loads(known["settings"]) == {"alignment.lr": 0.5}
+    assert unknown["settings"] == "not recorded"
 
 
 def test_methods_are_compared_on_the_same_target_task_and_seed():

@@ -13,11 +13,11 @@ from concurrent.futures import ThreadPoolExecutor
 from difflib import get_close_matches
 from itertools import product
 from typing import TYPE_CHECKING, Literal, get_args
-from zlib import crc32
 
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.threads import available_cores
@@ -136,7 +136,7 @@ class Lift(Simulator):
 
     def _noise(self, task: str, seed: int, joints: int) -> np.ndarray:
         # Robot and task join the seed, so that equal seeds do not align the domains' initial poses.
-        stream = np.random.default_rng([seed, crc32(f"{self.robot} {task}".encode())])
+        stream = start_generator(seed, f"{self.robot} {task}")
         return self.joint_noise * stream.standard_normal(joints)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import FloorPlan, Simulator, Step
 from plp_lightning.envs.maze.layout import LAYOUTS, Frame
@@ -175,7 +176,7 @@ class Maze(Simulator):
         return BatchedPhysics(model, self.frame_skip, self._forward, self.threads)
 
     def _start(self, cells: Sequence[tuple[int, int]], seed: int) -> np.ndarray:
-        rng = np.random.default_rng(seed)
+        rng = start_generator(seed)
         place: np.ndarray = np.array(cells[rng.integers(len(cells))]) + rng.uniform(-self._jitter, self._jitter, 2)
         return place
 

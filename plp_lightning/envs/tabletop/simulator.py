@@ -10,11 +10,11 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Literal, get_args
-from zlib import crc32
 
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.threads import available_cores
@@ -161,7 +161,7 @@ class Tabletop(Simulator):
 
     def _stream(self, seed: int) -> np.random.Generator:
         # The view joins the seed, so that equal seeds do not align the domains' episodes.
-        return np.random.default_rng([seed, crc32(f"{self._family} {self.view}".encode())])
+        return start_generator(seed, f"{self._family} {self.view}")
 
     def _check(self, task: str) -> None:
         if task not in self.tasks:

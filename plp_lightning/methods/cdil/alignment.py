@@ -109,7 +109,7 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         discriminator_lr: NonNegativeFloat | None = None,
         epochs: PositiveInt = 20,
         optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4, first_moment=0.5),
-        lr_scheduler: SchedulerFactory | None = lambda optimizer: LinearDecay(optimizer),
+        lr_scheduler: SchedulerFactory | None = LinearDecay,
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.weights = {"discriminator": 1.0, **asdict(weights)}

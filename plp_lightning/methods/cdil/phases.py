@@ -23,6 +23,8 @@ class CdilPhase(Phase[CdilPolicy]):
     """What the phases of CDIL share: parts of the policy that are frozen by name, and held-out losses of their own."""
 
     trains = CdilPolicy
+    monitor = "val/loss"
+    policy_acts = False
     parts_trained: tuple[str, ...] = ()
     """Names of the policy's parts that this phase trains."""
 
@@ -48,9 +50,9 @@ class CdilPhase(Phase[CdilPolicy]):
         return total
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Losses on held-out trajectories; ``val/bc``, by which the best checkpoint is told, is their sum."""
+        """Losses on held-out trajectories, and their sum as ``val/loss``."""
         parts = self.held_out_losses(batch)
-        total = {"bc": torch.stack([*parts.values()]).sum()} if parts else {}
+        total = {"loss": torch.stack([*parts.values()]).sum()} if parts else {}
         for name, value in (parts | total).items():
             self.log(f"val/{name}", value, batch_size=_size(batch), on_epoch=True)
 
@@ -168,6 +170,7 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
     """
 
     batch_spec = BatchSpec("mix", images=False)
+    policy_acts = True
     parts_trained = ("clones",)
 
     def __init__(

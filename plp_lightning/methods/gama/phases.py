@@ -42,6 +42,7 @@ class GamaPretraining(Phase[GamaPolicy]):
 
     trains = GamaPolicy
     batch_spec = BatchSpec(course=True)
+    policy_acts = False
 
     def __init__(
         self,

@@ -88,8 +88,8 @@ class StateOnlyAlignment(Alignment):
 class StateOnlyAdaptation(Adaptation):
     """Next-latent prediction of the target task from source states alone, with encoder and decoder frozen.
 
-    As the target task's demonstrations have no actions, ``val/bc``, by which the best checkpoint is told, is here
-    the held-out loss of the prediction.
+    As the target task's demonstrations have no actions, the best checkpoint is told by the held-out loss of the
+    prediction.
 
     Args:
         policy: The aligned policy.
@@ -100,6 +100,7 @@ class StateOnlyAdaptation(Adaptation):
     """
 
     trains = StateOnlyPolicy
+    monitor = "val/next"
 
     def __init__(
         self,
@@ -123,7 +124,7 @@ class StateOnlyAdaptation(Adaptation):
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """L_next on held-out trajectories of the target task."""
         size = sum(len(s.action) for s in batch.steps.values())
-        self.log("val/bc", self._foresight(batch.steps), batch_size=size, on_epoch=True)
+        self.log("val/next", self._foresight(batch.steps), batch_size=size, on_epoch=True)
 
     def _foresight(self, steps: Mapping[str, Steps]) -> Tensor:
         """L_next, from latent states that are known already."""

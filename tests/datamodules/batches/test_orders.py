@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodules.batches.orders import AlignmentOrder, MixOrder, PairOrder, generator, shuffled
+from datamodules.batches.orders import AlignmentOrder, MixOrder, PairOrder, shuffled
+from datamodules.streams import Stream, generator
 
 ROWS = {"small": np.arange(100, 110), "large": np.arange(35)}
 TARGET = {"source": np.arange(1000, 1021)}
@@ -29,18 +30,19 @@ def mix_order(ratio: float = 2.0, batch_size: int = 16, seed: int = 0) -> MixOrd
 
 
 def test_generators_depend_on_all_of_their_key() -> None:
-    def first(*key: int) -> int:
-        return int(generator(*key).integers(2**62))
+    def first(stream: Stream, *key: int) -> int:
+        return int(generator(stream, *key).integers(2**62))
 
-    keys = [(1, 0, 0), (1, 0, 1), (1, 1, 0), (2, 0, 0), (1, 0, 0, 1)]
+    rows, tasks = Stream.ALIGNMENT_ROWS, Stream.BATCH_TASKS
+    keys = [(rows, 0, 0, 0), (rows, 0, 0, 1), (rows, 0, 1, 0), (rows, 1, 0, 0), (tasks, 0, 0), (Stream.MIX, 0, 0)]
     assert len({first(*key) for key in keys}) == len(keys)
-    assert first(1, 2, 3) == first(1, 2, 3)
+    assert first(rows, 1, 2, 3) == first(rows, 1, 2, 3)
 
 
 @given(st.integers(1, 30), st.integers(0, 100), st.integers(0, 5))
 def test_each_row_comes_once_before_any_comes_again(size: int, count: int, seed: int) -> None:
     rows = np.arange(size) * 3
-    chosen = shuffled(rows, count, generator(seed))
+    chosen = shuffled(rows, count, generator(Stream.MIX, seed, 0))
     assert len(chosen) == count
     for start in range(0, count, size):
         part = chosen[start : start + size]
