@@ -20,8 +20,8 @@ import torch
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from plp_lightning.callbacks.checkpointing import read_checkpoint
-from plp_lightning.methods.upgrade import upgrade_checkpoint
+from plp_lightning.callbacks.checkpointing import read_checkpoint  # noqa: E402
+from plp_lightning.methods.upgrade import upgrade_checkpoint  # noqa: E402
 
 METHODS = ("plp", "plp_t", "plp_t_disc", "gama", "cdil", "contextual", "bc")
 LEAKED = {

@@ -45,11 +45,13 @@ def test_every_method_on_every_experiment_is_printed_as_it_reruns(
 
 
 def test_flags_beat_files_and_later_files_beat_earlier_ones(tmp_path: Path) -> None:
-    (tmp_path / "late.yaml").write_text("data: {batch_size: 7, pairs: 3}\nalignment: {init_args: {lr: 0.5}}\n")
+    late = {"data": {"batch_size": 7, "pairs": 3}, "alignment": {"init_args": {"optimizer": {"init_args": {"lr": 0.5}}}}}
+    (tmp_path / "late.yaml").write_text(yaml.safe_dump(late))
     words = ["--config", str(BY_NAME["smoke"]), "--config", str(tmp_path / "late.yaml"), "--data.pairs", "5"]
     printed = yaml.safe_load(plp("fit", *words, "--print_config").out)
     assert (printed["data"]["batch_size"], printed["data"]["pairs"], printed["data"]["stride"]) == (7, 5, 4)
-    assert (printed["alignment"]["init_args"]["lr"], printed["alignment"]["init_args"]["epochs"]) == (0.5, 10)
+    alignment = printed["alignment"]["init_args"]
+    assert (alignment["optimizer"]["init_args"]["lr"], alignment["epochs"]) == (0.5, 10)
 
 
 def test_printing_a_config_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,7 +82,7 @@ def invent_demonstrations(experiment: Experiment) -> None:
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_every_experiment_runs_in_miniature(path: Path, tmp_path: Path) -> None:
     words = ["--config", str(path), *TINY, "--data.root", str(tmp_path), "--run_root", str(tmp_path)]
-    words += ["--policy.init_args.image_channels", "[4, 8]", "--policy.init_args.image_features", "16"]
+    words += ["--policy.image_encoder.channels", "[4, 8]", "--policy.image_encoder.features", "16"]
     for name, domain in parse(words).domains.items():
         words += [f"--domains.{name}.simulator.horizon", "5"]
         if isinstance(domain.simulator, Tabletop):

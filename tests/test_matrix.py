@@ -23,7 +23,8 @@ from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.cli.config import parse
 from plp_lightning.envs.tabletop.simulator import Tabletop
 
-SMALL_EYES = "policy: {init_args: {image_channels: [4, 8], image_features: 16}}\n"
+ENCODER = {"channels": [4, 8], "features": 16}
+"""Sizes of image encoders; GAMA's and CDIL's have channels alone."""
 CUT = [*((m, "p2p_umaze") for m in (path.stem for path in METHODS)), *(("plp", path.stem) for path in EXPERIMENTS)]
 
 

@@ -199,9 +199,9 @@ def test_rates_fall_in_a_line_that_meets_0_after_the_last_epoch(epoch: int, slow
 
 
 def test_a_share_above_1_is_refused() -> None:
-    wanted = r"alignment\.lr_scheduler\.init_args\.share is 1\.5; expected a share from 0 to 1; change it"
+    wanted = r"alignment\.lr_scheduler\.share is 1\.5; expected a share from 0 to 1; change it"
     with pytest.raises(ConfigError, match=wanted):
-        parse([*SMOKE, *OVERLAY, "--alignment.lr_scheduler.init_args.share", "1.5"])
+        parse([*SMOKE, *OVERLAY, "--alignment.lr_scheduler.share", "1.5"])
 
 
 def test_one_optimiser_holds_both_players_with_a_rate_of_each(policy: CdilPolicy) -> None:

@@ -160,11 +160,11 @@ def test_episodes_longer_than_its_memory_are_an_error(data: TransferDataModule) 
     [
         ({"hidden": 10, "heads": 4}, r"hidden is 10; expected a multiple of heads, which is 4"),
         ({"dropout": 1.0}, r"ContextualPolicy\.dropout is 1\.0; expected a share from 0 to below 1"),
-        ({"max_length": 0}, r"ContextualPolicy\.max_length is 0; expected a whole number, at least 1; change it"),
-        ({"heads": 0}, r"ContextualPolicy\.heads is 0; expected a whole number, at least 1; change it"),
+        ({"max_length": 0}, r"max_length is 0; expected a whole number, at least 1"),
+        ({"heads": 0}, r"heads is 0; expected a whole number, at least 1"),
         (
             {"decoder_layers": 0},
-            r"ContextualPolicy\.decoder_layers is 0; expected a whole number, at least 1; change it",
+            r"decoder_layers is 0; expected a whole number, at least 1",
         ),
     ],
 )

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from datamodules.errors import ConfigError
-from plp_lightning.networks import ImageDecoder, ImageEncoder
+from plp_lightning.networks import ImageDecoder, ImageEncoder, ImageEncoding
 from plp_lightning.networks.vision import downsampled_sizes, initialise, pixel_coordinates
 
 
