@@ -45,7 +45,10 @@ def test_every_method_on_every_experiment_is_printed_as_it_reruns(
 
 
 def test_flags_beat_files_and_later_files_beat_earlier_ones(tmp_path: Path) -> None:
-    late = {"data": {"batch_size": 7, "pairs": 3}, "alignment": {"init_args": {"optimizer": {"init_args": {"lr": 0.5}}}}}
+    late = {
+        "data": {"batch_size": 7, "pairs": 3},
+        "alignment": {"init_args": {"optimizer": {"init_args": {"lr": 0.5}}}},
+    }
     (tmp_path / "late.yaml").write_text(yaml.safe_dump(late))
     words = ["--config", str(BY_NAME["smoke"]), "--config", str(tmp_path / "late.yaml"), "--data.pairs", "5"]
     printed = yaml.safe_load(plp("fit", *words, "--print_config").out)
