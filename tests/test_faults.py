@@ -68,7 +68,7 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--data.val_fraction 1", "data.val_fraction is 1; expected a share from 0 to below 1; change it"),
         (
             "--evaluation.final_episodes 0",
-            "evaluation.final_episodes is 0; expected a whole number, at least 1; change it",
+            "evaluation.final_episodes is 0; expected a whole number, at least 1",
         ),
         ("--trainer.accelerator warp", "trainer: "),
         ("--policy.encoder_state [colour]", "encoder_state names 'colour'; expected state keys: "),
