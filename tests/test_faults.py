@@ -56,7 +56,7 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--score+ Closeness", "unknown class 'Closeness'; did you mean 'ClosenessScore'?"),
         ("--alignment Alignmnt", "alignment: unknown class 'Alignmnt'; did you mean 'Alignment'?"),
         ("--alignment.epochs three", "alignment.epochs is three; expected a whole number, at least 1; change it"),
-        ("--alignment.terms.mmd MDM", "alignment.terms: unknown class 'MDM'; did you mean 'MMD'?"),
+        ("--alignment.terms.mmd MMMD", "alignment.terms: unknown class 'MMMD'; did you mean 'MMD'?"),
         ("--alignment.epochs 0", "alignment.epochs is 0; expected a whole number, at least 1; change it"),
         ("--alignment.optimizer.lr -1", "alignment.optimizer.lr is -1; expected a number, at least 0; change it"),
         ("--alignment.optimizer.lr .nan", "alignment.optimizer.lr is .nan; expected a number, at least 0; change it"),
@@ -91,7 +91,7 @@ def test_wrong_settings_are_named(words: str, told: str, tmp_path: Path) -> None
         ("evaluatoin: {episodes: 3}", "unknown key 'evaluatoin.episodes'; did you mean 'evaluation.episodes'?"),
         ("data: {batch_sise: 3}", "unknown key 'data.batch_sise'; did you mean 'data.batch_size'?"),
         ("adaptation: {init_args: {epocs: 3}}", "did you mean 'adaptation.epochs'?"),
-        ("collection: {noise: [1]}", "collection.noise is [1]; expected float"),
+        ("collection: {noise: [1]}", "CollectionConfig.noise is [1]; expected a number, at least 0; change it"),
         ("data: !!python/object/apply:os.mkdir [pwned]", "extra.yaml: is no YAML (could not determine a constructor"),
     ],
 )
