@@ -56,6 +56,7 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--score+ Closeness", "unknown class 'Closeness'; did you mean 'ClosenessScore'?"),
         ("--alignment Alignmnt", "alignment: unknown class 'Alignmnt'; did you mean 'Alignment'?"),
         ("--alignment.epochs three", "alignment.epochs is three; expected a whole number, at least 1; change it"),
+        ("--alignment.terms [mdm]", "alignment.terms names 'mdm'; expected some of mmd, adversarial, tcc"),
         ("--alignment.terms.mmd MMMD", "alignment.terms: unknown class 'MMMD'; did you mean 'MMD'?"),
         ("--alignment.epochs 0", "alignment.epochs is 0; expected a whole number, at least 1; change it"),
         ("--alignment.optimizer.lr -1", "alignment.optimizer.lr is -1; expected a number, at least 0; change it"),

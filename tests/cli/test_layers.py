@@ -67,6 +67,24 @@ def test_the_same_class_keeps_all_settings() -> None:
     assert same == part("PortablePolicy", latent=8, hidden=4)
 
 
+def test_a_class_may_be_told_by_its_name_alone() -> None:
+    below = part("PortablePolicy", latent=8, hidden=16)
+    assert laid(below, "GamaPolicy") == part("GamaPolicy", hidden=16)
+    assert laid({"init_args": {"weight": 0.2}}, "TCC") == part("TCC", weight=0.2)
+
+
+def test_files_may_name_classes_alone(tmp_path: Path) -> None:
+    page = {"alignment": {"init_args": {"terms": {"tcc": "TCC"}, "optimizer": "torch.optim.SGD"}}}
+    (tmp_path / "short.yaml").write_text(yaml.safe_dump(page))
+    alignment = resolved("--config", str(tmp_path / "short.yaml"))["alignment"]["init_args"]
+    assert alignment["terms"]["tcc"]["class_path"].endswith("TCC")
+    assert alignment["optimizer"]["class_path"] == "torch.optim.SGD"
+    assert alignment["optimizer"]["init_args"]["lr"] == 2e-3, "the page below says so"
+    (tmp_path / "short.yaml").write_text("policy: BCPolicy\nalignment: BCCloning\nadaptation: BCAdaptation\n")
+    by_name, by_class = resolved("--config", str(tmp_path / "short.yaml")), resolved(*overlay_of("bc"))
+    assert all(by_name[key] == by_class[key] for key in ("policy", "alignment", "adaptation"))
+
+
 def test_the_new_class_has_the_last_word() -> None:
     below = part("Alignment", epochs=3, bc_reduction="sum")
     assert laid(below, part("GamaAlignment", epochs=7)) == part("GamaAlignment", epochs=7)

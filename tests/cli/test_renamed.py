@@ -31,7 +31,7 @@ alignment:
     mmd_bandwidths: [1.0, 0.5]
     mmd_scale_gradient: false
     tcc_weight: 0.2
-    tcc_similarity: product
+    tcc_similarity: scaled
     adversarial_weight: 0.3
     penalty_weight: 0.7
     discriminator_layers: 2
@@ -63,7 +63,7 @@ plp_t_noaction:
   phases: [alignment, adaptation]
   policy:
     class_path: plp_lightning.baselines.StateOnlyPolicy
-    init_args: {latent: 16, hidden: 8, decoder_state: proprioception, clip: 5.0, image_channels: [4], image_features: 16}
+    init_args: {latent: 16, hidden: 8, decoder_state: all, clip: 5.0, image_channels: [4], image_features: 16}
   alignment:
     class_path: plp_lightning.baselines.StateOnlyAlignment
     init_args:
@@ -218,6 +218,11 @@ def test_a_list_of_terms_chooses_them_and_leaves_the_others_away(words: list[str
     assert "the list alignment.terms is a mapping from names to classes" in found
 
 
+def test_a_word_that_was_no_term_is_told() -> None:
+    with pytest.raises(ConfigError, match=r"alignment\.terms names 'mdm'; expected some of mmd, adversarial, tcc"):
+        rename({"alignment": {"init_args": {"terms": ["tcc", "mdm"]}}}, PHASES)
+
+
 def test_one_score_is_a_list_of_one() -> None:
     renamed, found = rename({"score": {"class_path": "ClosenessScore"}}, PHASES)
     assert renamed == {"score": [{"class_path": "ClosenessScore"}]}
@@ -240,7 +245,7 @@ def test_the_bound_of_inputs_that_always_holds_may_be_named_and_no_other(kind: s
 def test_old_classes_have_their_new_names(old: str) -> None:
     for name in (f"plp_lightning.baselines.{old}", f"plp_lightning.baselines.flat.{old}", old):
         tree = {"policy": {"class_path": name}, "callbacks": [{"class_path": name}]}
-        new = CLASSES[old] if "." in name else old
+        new = CLASSES[old]
         assert rename(tree, PHASES)[0] == {"policy": {"class_path": new}, "callbacks": [{"class_path": new}]}
 
 
@@ -274,7 +279,7 @@ def test_a_page_in_old_keys_is_the_page_in_new_ones(tmp_path: Path, capsys: pyte
     terms = {name: term and settings(term) for name, term in alignment["terms"].items()}
     assert terms == {
         "mmd": None,
-        "tcc": {"weight": 0.2, "similarity": "product"},
+        "tcc": {"weight": 0.2, "similarity": "scaled"},
         "adversarial": {"weight": 0.3, "penalty_weight": 0.7, "layers": 2, "hidden": 24},
         "reconstruction": {"weight": 10.0, "downsampling": 1},
     }
