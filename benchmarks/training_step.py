@@ -11,6 +11,7 @@ import argparse
 import logging
 import statistics
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,6 +19,8 @@ import numpy as np
 import torch
 from lightning.pytorch import Trainer
 
+from datamodules.amounts import Batching, Demonstrations
+from datamodules.problem import TransferRoles
 from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import BatchSpec, DomainSpec, Observation, ObservationKey, Trajectory
@@ -29,8 +32,9 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.plp import Alignment
 from plp_lightning.methods.plp.losses import mmd
 from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.methods.plp.terms import MMD, TCC, TermFactory
 
-TASKS = [f"task_{i}" for i in range(17)]
+TASKS = tuple(f"task_{i}" for i in range(17))
 
 
 def make_data(folder: Path, batch_size: int, steps: int, pairs: int, length: int) -> TransferDataModule:
@@ -53,21 +57,9 @@ def make_data(folder: Path, batch_size: int, steps: int, pairs: int, length: int
     ]
     path = folder / "random.hdf5"
     write_trajectories(path, specs, TASKS, trajectories, {})
-    return TransferDataModule(
-        path=path,
-        tasks=TASKS,
-        proxy_tasks=TASKS[:16],
-        target_tasks=TASKS[16:],
-        domains=["a", "b"],
-        source_domain="a",
-        target_domain="b",
-        target=TASKS[16],
-        trajectories=per_task * 16,
-        target_trajectories=per_task,
-        val_fraction=0.0,
-        batch_size=batch_size,
-        pairs=pairs,
-    )
+    roles = TransferRoles(("a", "b"), "a", "b", TASKS, TASKS[:16], TASKS[16], TASKS[16:])
+    demonstrations = Demonstrations(trajectories=per_task * 16, target_trajectories=per_task, val_fraction=0.0)
+    return TransferDataModule(path, roles, demonstrations, Batching(batch_size=batch_size, pairs=pairs))
 
 
 def plain_loop(data: TransferDataModule, steps: int) -> float:
@@ -87,10 +79,10 @@ def plain_loop(data: TransferDataModule, steps: int) -> float:
     return (time.process_time() - began) / steps
 
 
-def lightning_loop(data: TransferDataModule, steps: int, terms: list[str]) -> float:
+def lightning_loop(data: TransferDataModule, steps: int, terms: Mapping[str, TermFactory]) -> float:
     """CPU seconds a step of the same by the Alignment phase under a Trainer with this project's callbacks."""
     policy = PortablePolicy(data.problem)
-    phase = Alignment(policy, terms, epochs=1)  # type: ignore[arg-type]
+    phase = Alignment(policy, terms, epochs=1)
     return timed_fit(phase, data, steps)
 
 
@@ -148,8 +140,8 @@ def main() -> None:
         rows = []
         for _ in range(options.turns):
             plain = plain_loop(data, options.steps)
-            ours = lightning_loop(data, options.steps, ["mmd"])
-            with_tcc = lightning_loop(data, options.steps, ["mmd", "tcc"])
+            ours = lightning_loop(data, options.steps, {"mmd": MMD})
+            with_tcc = lightning_loop(data, options.steps, {"mmd": MMD, "tcc": TCC})
             rows.append((plain, ours, with_tcc, loader_alone(data, options.steps)))
     plain, ours, with_tcc, loader = (statistics.median(column) for column in zip(*rows, strict=True))
     print(f"plain loop            {plain * 1e3:7.2f} ms a step")

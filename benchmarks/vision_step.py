@@ -12,6 +12,7 @@ import argparse
 import logging
 import statistics
 import time
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +24,8 @@ from lightning.pytorch import Trainer
 from torch import Tensor, nn
 from training_step import StepTimer
 
+from datamodules.amounts import Batching, Demonstrations
+from datamodules.problem import TransferRoles
 from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import BatchSpec, DomainSpec, Observation, ObservationKey, Trajectory
@@ -32,8 +35,10 @@ from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.plp import Alignment
 from plp_lightning.methods.plp.losses import mmd
 from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.methods.plp.terms import MMD, ImageReconstruction
+from plp_lightning.networks import ImageDecoder, ImageEncoder
 
-TASKS = ["red", "green", "blue"]
+TASKS = ("red", "green", "blue")
 SIDE, STEPS, HAND = 64, 40, 8
 
 
@@ -60,21 +65,9 @@ def make_data(folder: Path, steps: int) -> TransferDataModule:
         for i in range(count)
     ]
     write_trajectories(folder / "random.hdf5", specs, TASKS, trajectories, {})
-    return TransferDataModule(
-        path=folder / "random.hdf5",
-        tasks=TASKS,
-        proxy_tasks=TASKS[:2],
-        target_tasks=TASKS[2:],
-        domains=["left", "right"],
-        source_domain="left",
-        target_domain="right",
-        target="blue",
-        trajectories=2 * count,
-        target_trajectories=count,
-        val_fraction=0.0,
-        batch_size=64,
-        pairs=8,
-    )
+    roles = TransferRoles(("left", "right"), "left", "right", TASKS, TASKS[:2], "blue", TASKS[2:])
+    demonstrations = Demonstrations(trajectories=2 * count, target_trajectories=count, val_fraction=0.0)
+    return TransferDataModule(folder / "random.hdf5", roles, demonstrations, Batching(batch_size=64, pairs=8))
 
 
 class PlainNetwork(nn.Module):
@@ -139,7 +132,8 @@ def phase_loop(
 ) -> float:
     """CPU seconds a step of the Alignment phase."""
     policy = PortablePolicy(data.problem)
-    phase = Alignment(policy, ["mmd"], reconstruction_weight=weight, reconstruction_downsampling=halved)
+    reconstructing = partial(ImageReconstruction, weight=weight, downsampling=halved)
+    phase = Alignment(policy, {"mmd": MMD, "reconstruction": reconstructing})
     if not channels_last:
         _transpose_images(phase)
     timer = StepTimer()
@@ -161,8 +155,8 @@ def _transpose_images(phase: Alignment) -> None:
     """Weights and images of all convolutions in the order (B, C, H, W)."""
     for parameter in phase.parameters():
         parameter.data = parameter.data.contiguous()
-    for net in (phase.policy.image_encoder, phase.image_decoder):
-        if net is not None:
+    for net in phase.modules():
+        if isinstance(net, ImageEncoder | ImageDecoder):
             net.convolutions.register_forward_pre_hook(lambda module, args: args[0].contiguous())
 
 

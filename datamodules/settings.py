@@ -182,8 +182,12 @@ def build(made_by: Mapping[str, Any], kind: type[T], allowed: Sequence[str], *fi
     found = getattr(importlib.import_module(module), name, None)
     if not isinstance(found, type) or not issubclass(found, kind):
         raise ConfigError(f"{path!r} is no {kind.__name__}; expected the class that was saved")
-    arguments = {
-        name: build(value, Configured, allowed) if isinstance(value, Mapping) and "class_path" in value else value
-        for name, value in made_by["init_args"].items()
-    }
-    return found(*first, **arguments)
+    return found(*first, **_built(made_by["init_args"], allowed))
+
+
+def _built(value: Any, allowed: Sequence[str]) -> Any:
+    if isinstance(value, Mapping):
+        if "class_path" in value:
+            return build(value, Configured, allowed)
+        return {name: _built(item, allowed) for name, item in value.items()}
+    return [_built(item, allowed) for item in value] if isinstance(value, list) else value

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import torch
 
+from datamodules.amounts import Batching, Demonstrations
+from datamodules.problem import TransferRoles
 from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Trajectory
@@ -48,23 +50,10 @@ def write(path: Path, count: int = 6) -> None:
 
 def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 32) -> TransferDataModule:
     """Demonstrations of the file at ``path``: left is the source, right the target domain."""
-    return TransferDataModule(
-        path,
-        TASKS,
-        PROXIES,
-        (TARGET,),
-        ("left", "right"),
-        "left",
-        "right",
-        TARGET,
-        trajectories=10,
-        target_trajectories=4,
-        val_fraction=0.2,
-        batch_size=batch_size,
-        pairs=3,
-        stride=4,
-        image_memory=image_memory,
-    )
+    roles = TransferRoles(("left", "right"), "left", "right", TASKS, PROXIES, TARGET, (TARGET,))
+    demonstrations = Demonstrations(trajectories=10, target_trajectories=4, val_fraction=0.2)
+    batching = Batching(batch_size=batch_size, pairs=3, stride=4)
+    return TransferDataModule(path, roles, demonstrations, batching, image_memory=image_memory)
 
 
 def policy(data: TransferDataModule, decoder_state: DecoderState = "none") -> PortablePolicy:

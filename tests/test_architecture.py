@@ -21,6 +21,7 @@ WORDS = {
     "datamodules.errors",
     "datamodules.types",
     "datamodules.problem",
+    "datamodules.settings",
     "datamodules.streams",
     "datamodules.batches.normalization",
 }
@@ -30,6 +31,7 @@ ALL = {"datamodules", "plp_lightning"}
 MAY_IMPORT: dict[str, set[str]] = {
     # What is below imports at most what is beside it; a package may import its own modules. First match counts.
     "datamodules.errors": set(),
+    "datamodules.settings": {"datamodules.errors"},
     "datamodules.streams": set(),
     "datamodules.types": {"datamodules.errors"},
     "datamodules.store": WORDS,

@@ -53,23 +53,27 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--alignment.epocs 3", "unknown key 'alignment.epocs'; did you mean 'alignment.epochs'?"),
         ("--policy.hiden 3", "unknown key 'policy.hiden'; did you mean 'policy.hidden'?"),
         ("--domains.flat.simulator.map_sed 3", "did you mean 'domains.simulator.map_seed'?"),
-        ("--score Closeness", "unknown class 'Closeness'; did you mean 'ClosenessScore'?"),
+        ("--score+ Closeness", "unknown class 'Closeness'; did you mean 'ClosenessScore'?"),
         ("--alignment Alignmnt", "alignment: unknown class 'Alignmnt'; did you mean 'Alignment'?"),
-        ("--alignment.epochs three", "alignment.epochs is three; expected int"),
-        ("--alignment.terms [mdm]", "alignment.terms is mdm; expected Literal['mmd', 'tcc', 'adversarial']"),
-        ("--alignment.epochs 0", "--alignment.init_args.epochs is 0; expected at least 1"),
-        ("--alignment.lr -1", "--alignment.init_args.lr is -1.0; expected at least 0"),
-        ("--alignment.lr .nan", "--alignment.init_args.lr is nan; expected at least 0"),
+        ("--alignment.epochs three", "alignment.epochs is three; expected a whole number, at least 1; change it"),
+        ("--alignment.terms [mdm]", "alignment.terms names 'mdm'; expected some of mmd, adversarial, tcc"),
+        ("--alignment.terms.mmd MMMD", "alignment.terms: unknown class 'MMMD'; did you mean 'MMD'?"),
+        ("--alignment.epochs 0", "alignment.epochs is 0; expected a whole number, at least 1; change it"),
+        ("--alignment.optimizer.lr -1", "alignment.optimizer.lr is -1; expected a number, at least 0; change it"),
+        ("--alignment.optimizer.lr .nan", "alignment.optimizer.lr is .nan; expected a number, at least 0; change it"),
         ("--phases [alignmnt]", "phases names 'alignmnt', which nothing sets up; set alignmnt.class_path, or name: "),
         ("--phases [a", "phases is '[a'; expected a list of names"),
-        ("--seed -1", "--seed is -1; expected at least 0"),
-        ("--threads 0", "--threads is 0; expected at least 1"),
-        ("--data.batch_size 0", "--data.batch_size is 0; expected at least 1"),
-        ("--data.val_fraction 1", "--data.val_fraction is 1.0; expected a share below 1"),
-        ("--evaluation.final_episodes 0", "--evaluation.final_episodes is 0; expected at least 1"),
+        ("--seed -1", "seed is -1; expected a whole number, at least 0; change it"),
+        ("--threads 0", "threads is 0; expected a whole number, at least 1; change it"),
+        ("--data.batch_size 0", "data.batch_size is 0; expected a whole number, at least 1; change it"),
+        ("--data.val_fraction 1", "data.val_fraction is 1; expected a share from 0 to below 1; change it"),
+        (
+            "--evaluation.final_episodes 0",
+            "evaluation.final_episodes is 0; expected a whole number, at least 1",
+        ),
         ("--trainer.accelerator warp", "trainer: "),
         ("--policy.encoder_state [colour]", "encoder_state names 'colour'; expected state keys: "),
-        ("--alignment.mmd_bandwidths [0.5,-1]", "mmd_bandwidths is [0.5, -1.0]; expected one or more widths above 0"),
+        ("--alignment.terms.mmd.bandwidths [0.5,-1]", "bandwidths is -1; expected a number above 0; change it"),
         ("--method ../../elsewhere", "method is '../../elsewhere'; expected up to 64 letters"),
         ("--experiment ..", "experiment is '..'; expected up to 64 letters"),
     ],
@@ -88,7 +92,7 @@ def test_wrong_settings_are_named(words: str, told: str, tmp_path: Path) -> None
         ("evaluatoin: {episodes: 3}", "unknown key 'evaluatoin.episodes'; did you mean 'evaluation.episodes'?"),
         ("data: {batch_sise: 3}", "unknown key 'data.batch_sise'; did you mean 'data.batch_size'?"),
         ("adaptation: {init_args: {epocs: 3}}", "did you mean 'adaptation.epochs'?"),
-        ("collection: {noise: [1]}", "collection.noise is [1]; expected float"),
+        ("collection: {noise: [1]}", "CollectionConfig.noise is [1]; expected a number, at least 0; change it"),
         ("data: !!python/object/apply:os.mkdir [pwned]", "extra.yaml: is no YAML (could not determine a constructor"),
     ],
 )
@@ -107,13 +111,16 @@ SLOTS = {
     "policy's argument": "policy: {init_args: {decoder_state: {class_path: NAME}}}",
     "phase": "alignment: {class_path: NAME, init_args: {args: touch}}",
     "phase as a function": "alignment: NAME",
-    "score": "score: {class_path: NAME}",
+    "score": "score: [{class_path: NAME}]",
+    "term": "alignment: {init_args: {terms: {mmd: {class_path: NAME}}}}",
+    "optimizer": "alignment: {init_args: {optimizer: {class_path: NAME}}}",
+    "schedule": "alignment: {init_args: {lr_scheduler: {class_path: NAME}}}",
     "simulator": "domains: {flat: {simulator: {class_path: NAME}}}",
     "expert": "domains: {flat: {expert: NAME}}",
     "strategy": "trainer: {strategy: {class_path: NAME}}",
     "profiler": "trainer: {profiler: {class_path: NAME}}",
     "plain value": "data: {source_domain: {class_path: NAME}}",
-    "its own permission": "allow_imports: MODULE\nscore: {class_path: NAME}",
+    "its own permission": "allow_imports: MODULE\nscore: [{class_path: NAME}]",
 }
 
 
@@ -136,7 +143,7 @@ def test_own_packages_can_be_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     lines = "from plp_lightning.evaluation.scores import ClosenessScore\nclass OwnScore(ClosenessScore): ...\n"
     (tmp_path / "own_package.py").write_text(lines)
     monkeypatch.syspath_prepend(tmp_path)
-    options = ["fit", *tiny_smoke(tmp_path), "--score", "own_package.OwnScore"]
+    options = ["fit", *tiny_smoke(tmp_path), "--score", "[own_package.OwnScore]"]
     assert "add --allow_imports own_package" in complaint(*options)
     allowed = plp(*options, "--allow_imports", "own_package")
     assert allowed.code == 0, allowed
@@ -240,7 +247,7 @@ def test_other_policies_are_not_adapted(finished: RunDirectory, tmp_path: Path) 
 
 
 def test_divergence_is_told_in_one_line(tmp_path: Path) -> None:
-    told = complaint("fit", *tiny_smoke(tmp_path), "--alignment.lr", "1e30")
+    told = complaint("fit", *tiny_smoke(tmp_path), "--alignment.optimizer.lr", "1e30")
     assert "not finite; lower the learning rate" in told
     run = smoke_run(tmp_path)
     assert run.status()["state"] == "failed"

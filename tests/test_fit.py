@@ -58,9 +58,9 @@ def test_plp_runs_the_whole_chain_with_any_terms(overlay: Path, tmp_path: Path) 
         for which in ("best", "last"):
             assert {"policy", "state_dict", "optimizer_states", "loops"} <= checkpoint(run, phase, which).keys()
     logged = {metric for _, metric, _ in read_rows(run.phase("alignment") / "metrics.csv")}
-    terms = yaml.safe_load(overlay.read_text())["alignment"]["init_args"]["terms"]
+    terms = {"mmd": True, **yaml.safe_load(overlay.read_text())["alignment"]["init_args"]["terms"]}
     assert {"train/bc", "val/bc"} <= logged
-    assert {name for name in TERMS.values() if name in logged} == {TERMS[term] for term in terms}
+    assert {name for name in TERMS.values() if name in logged} == {TERMS[name] for name, term in terms.items() if term}
 
 
 def test_curves_settings_and_picture_are_in_tensorboard(pictured: RunDirectory) -> None:

@@ -21,7 +21,7 @@ PHASES = ("alignment", "adaptation")
 
 def options(run_root: Path, data: Path) -> list[str]:
     """A run of a few steps with every loss that a method may have."""
-    return [*SEEN, *TINY, "--data.root", str(data), "--run_root", str(run_root), "--alignment.terms", "[mmd, tcc]"]
+    return [*SEEN, *TINY, "--data.root", str(data), "--run_root", str(run_root), "--alignment.terms.tcc", "TCC"]
 
 
 def run_of(run_root: Path) -> RunDirectory:
@@ -91,7 +91,7 @@ def test_a_trained_run_with_images_can_be_tested_and_rerun(run: RunDirectory, tm
     told, found = json.loads((tmp_path / "test.json").read_text()), json.loads(run.results.read_text())
     for trial in ("target", "source", "proxy", "proxy_source"):
         assert {**told["trials"][trial], "before": found[trial]["before"]} == found[trial]
-    assert yaml.safe_load(run.config.read_text())["policy"]["init_args"]["image_channels"] == [8, 16, 16]
+    assert yaml.safe_load(run.config.read_text())["policy"]["init_args"]["image_encoder"]["channels"] == [8, 16, 16]
     assert "steps of left, right" in plp("predict", run.path, "--output", tmp_path / "p.npz").out
 
 

@@ -23,7 +23,8 @@ from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.cli.config import parse
 from plp_lightning.envs.tabletop.simulator import Tabletop
 
-SMALL_EYES = "policy: {init_args: {image_channels: [4, 8], image_features: 16}}\n"
+SMALL_EYES = "policy: {init_args: {image_encoder: {channels: [4, 8], features: 16}}}\n"
+SMALL_POINTS = "policy: {init_args: {image_channels: [4, 8]}}\n"
 CUT = [*((m, "p2p_umaze") for m in (path.stem for path in METHODS)), *(("plp", path.stem) for path in EXPERIMENTS)]
 
 
@@ -44,9 +45,9 @@ def data_of(experiment: Path) -> tempfile.TemporaryDirectory[str]:
 
 
 def miniature(method: Path, experiment: Path, root: Path) -> list[str]:
-    """Options of a run of one epoch a phase, with short episodes and small images; the method comes last."""
-    (root / "eyes.yaml").write_text(SMALL_EYES)
-    words = ["--config", str(experiment), *TINY, "--config", str(root / "eyes.yaml"), "--config", str(method)]
+    """Options of a run of one epoch a phase, with short episodes and small images."""
+    (root / "eyes.yaml").write_text(SMALL_POINTS if method.stem.startswith(("gama", "cdil")) else SMALL_EYES)
+    words = ["--config", str(experiment), *TINY, "--config", str(method), "--config", str(root / "eyes.yaml")]
     words += ["--run_root", str(root), "--trainer.max_epochs", "1", "--evaluation.final_episodes", "1"]
     for name, domain in parse(["--config", str(experiment)]).domains.items():
         words += [f"--domains.{name}.simulator.horizon", "3"]

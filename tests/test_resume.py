@@ -19,8 +19,8 @@ from plp_lightning.runs.progress import JobProgress
 STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
 EVALUATION = "plp_lightning.runs.experiment:evaluate_all"
 PHASES = ("alignment", "adaptation")
-SCHEDULES = ["--alignment.lr_schedule", "cosine", "--adaptation.lr_schedule", "cosine"]
-ALL = ["--alignment.terms", "[mmd, tcc, adversarial]", *SCHEDULES]
+SCHEDULES = ["--alignment.lr_scheduler", "CosineDecay", "--adaptation.lr_scheduler", "CosineDecay"]
+ALL = ["--alignment.terms.tcc", "TCC", "--alignment.terms.adversarial", "DomainAdversarial", *SCHEDULES]
 """All losses at once, so that every stream of random numbers is in play, and rates that change. Steps 1 to 6 and 7 to
 12 are its epochs of alignment, 13 to 15 and 16 to 18 those of adaptation."""
 

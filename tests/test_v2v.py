@@ -29,8 +29,8 @@ SMALL = [
     "--alignment.epochs",
     "1",
 ]
-SMALL += ["--policy.init_args.image_channels", "[4, 8]", "--policy.init_args.image_features", "16"]
-SMALL += ["--evaluation.final_episodes", "2", "--collection.hold_steps", "1", "--alignment.terms", "[mmd, tcc]"]
+SMALL += ["--policy.image_encoder.channels", "[4, 8]", "--policy.image_encoder.features", "16"]
+SMALL += ["--evaluation.final_episodes", "2", "--collection.hold_steps", "1", "--alignment.terms.tcc", "TCC"]
 PAGES = {
     "v2v_reach": (("left", "right"), 2, 60, []),
     "v2v_open": (("rear", "front"), 4, 140, ["--score.init_args.guided_episodes", "1"]),

@@ -68,9 +68,9 @@ def roles(domain_names: tuple[str, ...] = ("flat", "tall")) -> TransferRoles:
     return TransferRoles(domain_names, "flat", "tall", TASKS, PROXIES, TARGET, (TARGET,))
 
 
-def adamw(lr: float, weight_decay: float = 0.0) -> OptimizerFactory:
+def adamw(lr: float, weight_decay: float = 0.0, first_moment: float = 0.9) -> OptimizerFactory:
     """An optimizer with this rate."""
-    return partial(FusedAdamW, lr=lr, weight_decay=weight_decay)
+    return partial(FusedAdamW, lr=lr, weight_decay=weight_decay, first_moment=first_moment)
 
 
 def terms(*names: str) -> dict[str, TermFactory]:

@@ -88,8 +88,11 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> tuple[Tree, lis
     for path, content in contents.items():
         renamed, changes = rename(content, phases)
         _tell(f"{path}", changes)
-        tree = overlay(tree, renamed, allowed)
+        parts = {name: {"class_path": x} for name, x in renamed.items() if name in phases and isinstance(x, str)}
+        tree = overlay(tree, renamed | parts, allowed)
     chosen, flags = _class_flags(_flags(arguments, tree), phases)
+    chosen, changes = rename(chosen, phases)
+    _tell("flags", changes)
     for value in option_values(arguments, "phases"):
         chosen["phases"] = _read(value)
     tree = overlay(tree, chosen, allowed)
@@ -125,7 +128,7 @@ def _flags(arguments: Sequence[str], tree: Tree) -> list[str]:
 def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, list[str]]:
     """Flags that choose a class, or leave a part away, as a configuration; and the others."""
     part = rf"policy|{'|'.join(map(re.escape, phases))}|domains\.\w+\.(?:simulator|expert)"
-    place = re.compile(rf"--((?:{part})(?:\.terms\.\w+|\.optimizer|\.lr_scheduler)?)(\.class_path)?")
+    place = re.compile(rf"--((?:{part})(?:\.terms(?:\.\w+)?|\.optimizer|\.lr_scheduler?|\.clip)?)(\.class_path)?")
     chosen: Tree = {}
     rest, words = [], iter(flags)
     for word in words:
@@ -135,9 +138,9 @@ def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, lis
             rest.append(word)
             continue
         content = _read(value if joint else next(words, ""))
-        if found[2] or isinstance(content, str):
+        if found[2] or (isinstance(content, str) and not found[1].endswith(".lr_schedule")):
             content = {"class_path": content}
-        insert(chosen, re.sub(r"^(\w+)\.(?=terms|optimizer|lr_scheduler)", r"\1.init_args.", found[1]), content)
+        insert(chosen, re.sub(r"^(\w+)\.(?=terms|optimizer|lr_schedule|clip)", r"\1.init_args.", found[1]), content)
     return chosen, rest
 
 

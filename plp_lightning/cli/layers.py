@@ -49,6 +49,8 @@ def overlay(below: Any, above: Any, allowed: Sequence[str]) -> Any:
     Raises:
         ConfigError: If ``below`` sets up a class with a setting that it doesn't have.
     """
+    if isinstance(above, str) and isinstance(below, Mapping) and below.keys() & {"class_path", "init_args"}:
+        above = {"class_path": above}
     if not isinstance(below, Mapping) or not isinstance(above, Mapping):
         return above
     merged = _other_class(below, above, allowed) if changes_class(below, above) else dict(below)
@@ -128,7 +130,7 @@ def without_spare_parts(tree: Tree, phases: Sequence[str], terms: Sequence[str])
     for phase in tree["phases"]:
         settings = (kept.get(phase) or {}).get("init_args") or {}
         for name, term in (settings.get("terms") or {}).items():
-            if not isinstance(term, Mapping) or "class_path" not in term:
+            if not isinstance(term, str) and "class_path" not in (term or {}):
                 _check_spare(f"{phase}.terms.{name}", name, term, terms)
                 dropped.append(f"{phase}.init_args.terms.{name}")
     return remove(kept, dropped), dropped

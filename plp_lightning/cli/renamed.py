@@ -92,7 +92,7 @@ def rename_flag(key: str, tree: Tree) -> str:
     """
     head, _, name = key.replace(".init_args.", ".").partition(".")
     new = GROUPS.get(head, {}).get(name)
-    if new is None and isinstance(tree.get(head), Mapping):
+    if new is None and name not in VALUES and isinstance(tree.get(head), Mapping):
         new = _table(head, tree[head]).get(name, "").replace(".init_args.", ".")
     return f"{head}.{new}" if new else key
 
@@ -146,11 +146,14 @@ def _part(part: Mapping[str, Any], place: str, found: list[str]) -> Tree:
             settings[key] = value
     if isinstance(words, list):
         found.append(f"the list {place}.terms is a mapping from names to classes")
-        settings["terms"] = _chosen(words, settings.get("terms", {}))
+        settings["terms"] = _chosen(place, words, settings.get("terms", {}))
     return {**part, "init_args": settings}
 
 
-def _chosen(words: list[str], said: Mapping[str, Any]) -> Tree:
+def _chosen(place: str, words: list[str], said: Mapping[str, Any]) -> Tree:
     """Terms by name for a list of words; those that it leaves out are null."""
+    unknown = [word for word in words if word not in TERMS]
+    if unknown:
+        raise ConfigError(f"{place}.terms names {unknown[0]!r}; expected some of {', '.join(TERMS)}; mend the list")
     chosen = {name: {"class_path": kind, **said.get(name, {})} for name, kind in TERMS.items() if name in words}
     return {**said, **dict.fromkeys(TERMS), **chosen}

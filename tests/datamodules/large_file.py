@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from datamodules.amounts import Batching, Demonstrations
+from datamodules.problem import TransferRoles
 from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import BatchSpec, DomainSpec, Observation, ObservationKey, Trajectory
@@ -39,20 +41,9 @@ def _made(domain: str, number: int) -> Trajectory:
 
 def fingerprint_and_shown(path: Path, image_memory: float) -> str:
     """The data's fingerprint, and how far the images of some batches are from the states beside them."""
-    data = TransferDataModule(
-        path,
-        ["a", "b"],
-        ["a"],
-        ["b"],
-        ["one", "two"],
-        "one",
-        "two",
-        "b",
-        trajectories=EPISODES - 1,
-        target_trajectories=1,
-        batch_size=64,
-        image_memory=image_memory,
-    )
+    roles = TransferRoles(("one", "two"), "one", "two", ("a", "b"), ("a",), "b", ("b",))
+    demonstrations = Demonstrations(trajectories=EPISODES - 1, target_trajectories=1)
+    data = TransferDataModule(path, roles, demonstrations, Batching(batch_size=64), image_memory=image_memory)
     batches = itertools.islice(data.loader(BatchSpec("proxy_tasks")), 8)
     seen = [part.observation for batch in batches for part in batch.steps.values()]
     off = [(o.image.float().mean((1, 2, 3)) - o.state[:, 0]).abs().max().item() for o in seen if o.image is not None]

@@ -25,7 +25,7 @@ def test_all_steps_are_proxies_everywhere_and_the_target_in_the_source_domain(tr
 def test_whole_pairs_alone_are_full_trajectories_with_their_actions(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     loader = data.loader(BatchSpec("none", pairs="whole"))
-    assert len(loader) == -(-len(data.episodes("tall", tiny.PROXIES, "train")) // data.pairs)
+    assert len(loader) == -(-len(data.episodes("tall", tiny.PROXIES, "train")) // data.batching.pairs)
     for batch in loader:
         assert batch.steps == {}
         assert list(batch.pairs) == ["flat", "tall"]

@@ -9,7 +9,9 @@ import tiny
 import torch
 from torch import Tensor, nn
 
+from datamodules.amounts import Batching, Demonstrations
 from datamodules.errors import ConfigError
+from datamodules.problem import TransferRoles
 from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation, Trajectory
@@ -94,7 +96,8 @@ def point_data(path: Path) -> TransferDataModule:
             actions = np.zeros((5, 2), dtype=np.float32)
             made.append(Trajectory(name, task, Observation(states), actions, seed, success=True))
     write_trajectories(path, [maze.spec(name) for name, maze in mazes.items()], tasks, made, {"command": "tests"})
-    return TransferDataModule(path, tasks, tasks[:1], tasks[1:], list(mazes), *mazes, "goal_1_1", 3, 3)
+    roles = TransferRoles(tuple(mazes), *mazes, tasks, tasks[:1], "goal_1_1", tasks[1:])
+    return TransferDataModule(path, roles, Demonstrations(trajectories=3, target_trajectories=3), Batching())
 
 
 POINTS = {"mirrored": PointMaze("umaze", swap_axes=True, negate_actions=True), "point": PointMaze("umaze")}

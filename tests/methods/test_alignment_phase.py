@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,6 @@ from datamodules.errors import ConfigError
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.plp import Alignment
-from plp_lightning.methods.plp.alignment import Term
 from plp_lightning.methods.plp.losses import (
     domain_discriminator_loss,
     domain_generator_loss,
@@ -23,6 +23,7 @@ from plp_lightning.methods.plp.losses import (
     tcc,
 )
 from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.methods.plp.terms import MMD, TCC, DomainAdversarial, TermFactory
 
 
 class Recorded(Alignment):
@@ -34,9 +35,22 @@ class Recorded(Alignment):
         self.parts, self.batch_size = parts, batch_size
 
 
-def build(policy: PortablePolicy, terms: list[Term]) -> Recorded:
+WEIGHED: dict[str, TermFactory] = {
+    "mmd": partial(MMD, weight=0.3),
+    "tcc": partial(TCC, weight=0.7),
+    "adversarial": partial(DomainAdversarial, weight=0.9, penalty_weight=0.6, hidden=16, layers=2),
+}
+
+
+def build(policy: PortablePolicy, terms: Sequence[str]) -> Recorded:
     torch.manual_seed(1)
-    return Recorded(policy, terms, 0.3, 0.7, 0.9, 0.6, discriminator_hidden=16, discriminator_layers=2)
+    return Recorded(policy, {name: WEIGHED[name] for name in terms})
+
+
+def discriminator_of(phase: Alignment) -> torch.nn.Module:
+    term = phase.terms["adversarial"]
+    assert isinstance(term, DomainAdversarial)
+    return term.discriminator
 
 
 def separate_losses(phase: Alignment, batch: Batch) -> dict[str, Tensor]:
@@ -51,15 +65,15 @@ def separate_losses(phase: Alignment, batch: Batch) -> dict[str, Tensor]:
         frames = [policy.encode({d: s.observation})[d][s.frame] for d, s in batch.pairs.items()]
         masks = [s.mask for s in batch.pairs.values()]
         parts["tcc"] = tcc(frames[0], masks[0], frames[1], masks[1])
-    if phase.discriminator is not None:
-        seen = standardise_jointly(latents)
-        parts["discriminator"] = domain_discriminator_loss(phase.discriminator, seen)
-        parts["penalty"] = domain_r1_penalty(phase.discriminator, seen)
-        parts["adversarial"] = domain_generator_loss(phase.discriminator, seen)
+    if "adversarial" in phase.terms:
+        seen, discriminator = standardise_jointly(latents), discriminator_of(phase)
+        parts["discriminator"] = domain_discriminator_loss(discriminator, seen)
+        parts["penalty"] = domain_r1_penalty(discriminator, seen)
+        parts["adversarial"] = domain_generator_loss(discriminator, seen)
     return parts
 
 
-ALL_TERMS: list[list[Term]] = [
+ALL_TERMS: list[list[str]] = [
     [],
     ["mmd"],
     ["tcc"],
@@ -72,7 +86,7 @@ ALL_TERMS: list[list[Term]] = [
 
 @pytest.mark.parametrize("terms", ALL_TERMS, ids="+".join)
 def test_the_parts_of_a_step_are_the_separate_losses_and_their_weighted_sum(
-    trajectory_file: Path, terms: list[Term]
+    trajectory_file: Path, terms: list[str]
 ) -> None:
     data = tiny.data_module(trajectory_file)
     phase = build(tiny.policy(data), terms)
@@ -100,10 +114,8 @@ def test_only_tcc_asks_for_pairs(trajectory_file: Path) -> None:
 
 def test_only_adversarial_training_has_a_discriminator(trajectory_file: Path) -> None:
     policy = tiny.policy(tiny.data_module(trajectory_file))
-    assert build(policy, ["mmd", "tcc"]).discriminator is None
-    discriminator = build(policy, ["adversarial"]).discriminator
-    assert discriminator is not None
-    assert discriminator(torch.zeros(3, 8)).shape == (3, 2)
+    assert not [name for name in build(policy, ["mmd", "tcc"]).state_dict() if "discriminator" in name]
+    assert discriminator_of(build(policy, ["adversarial"]))(torch.zeros(3, 8)).shape == (3, 2)
 
 
 def gradients(loss: Tensor, module: torch.nn.Module) -> list[Tensor]:
@@ -117,21 +129,20 @@ def test_each_adversarial_loss_teaches_one_player_only(trajectory_file: Path) ->
     phase = build(tiny.policy(data), ["adversarial"])
     batch = next(iter(data.loader(BatchSpec("proxy_tasks"))))
     total = phase.training_step(batch, 0)
-    assert phase.discriminator is not None
-    expected = separate_losses(phase, batch)
-    of_discriminator = gradients(expected["discriminator"] + 0.6 * expected["penalty"], phase.discriminator)
+    expected, discriminator = separate_losses(phase, batch), discriminator_of(phase)
+    of_discriminator = gradients(expected["discriminator"] + 0.6 * expected["penalty"], discriminator)
     assert all(g.abs().sum() > 0 for g in of_discriminator)
-    torch.testing.assert_close(gradients(total, phase.discriminator), of_discriminator, rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(gradients(total, discriminator), of_discriminator, rtol=1e-3, atol=1e-6)
     of_encoder = gradients(expected["bc"] + 0.9 * expected["adversarial"], phase.policy.encoder)
     torch.testing.assert_close(gradients(total, phase.policy.encoder), of_encoder, rtol=1e-3, atol=1e-6)
     for of_the_other in ("discriminator", "penalty"):
         assert all(g.abs().sum() == 0 for g in gradients(phase.parts[of_the_other], phase.policy.encoder))
-    assert all(g.abs().sum() == 0 for g in gradients(phase.parts["adversarial"], phase.discriminator))
+    assert all(g.abs().sum() == 0 for g in gradients(phase.parts["adversarial"], discriminator))
 
 
 def test_without_a_penalty_none_is_computed(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = Recorded(tiny.policy(data), ["adversarial"], penalty_weight=0)
+    phase = Recorded(tiny.policy(data), {"adversarial": partial(DomainAdversarial, penalty_weight=0)})
     phase.training_step(next(iter(data.loader(phase.batch_spec))), 0)
     assert phase.parts.keys() == {"bc", "adversarial", "discriminator", "loss", "latent_std"}
 
@@ -161,16 +172,22 @@ def test_alignment_learns_and_changes_all_parts(trajectory_file: Path, make_trai
     assert trained < 0.5 * untrained
 
 
-@pytest.mark.parametrize("bandwidths", [[], [1.0, 0.0]])
-def test_kernels_have_a_width(bandwidths: list[float], trajectory_file: Path) -> None:
-    with pytest.raises(ConfigError, match=r"mmd_bandwidths is \[.*\]; expected one or more widths above 0"):
-        Alignment(tiny.policy(tiny.data_module(trajectory_file)), tiny.terms("mmd"), mmd_bandwidths=bandwidths)
+@pytest.mark.parametrize(
+    ("bandwidths", "told"),
+    [
+        ((), r"MMD\.bandwidths is empty; expected one or more widths above 0"),
+        ((1.0, 0.0), r"MMD\.bandwidths is 0\.0; expected a number above 0; change it"),
+    ],
+)
+def test_kernels_have_a_width(bandwidths: tuple[float, ...], told: str, trajectory_file: Path) -> None:
+    with pytest.raises(ConfigError, match=told):
+        MMD(tiny.policy(tiny.data_module(trajectory_file)), bandwidths=bandwidths)
 
 
 def test_mmd_has_the_kernels_asked_for(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
     policy, batch = tiny.policy(data), next(iter(data.loader(BatchSpec("proxy_tasks"))))
     latents = [*policy.encode({d: s.observation for d, s in batch.steps.items()}).values()]
-    found = Recorded(policy, ["mmd"], mmd_bandwidths=[1.0, 0.2])
+    found = Recorded(policy, {"mmd": partial(MMD, bandwidths=(1.0, 0.2))})
     found.training_step(batch, 0)
     torch.testing.assert_close(found.parts["mmd"], mmd(latents, bandwidths=[1.0, 0.2]))

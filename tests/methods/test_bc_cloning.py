@@ -14,6 +14,7 @@ from command import ROOT, SMOKE, checkpoint, data_root, dies, plp, results, same
 from lightning.pytorch import Trainer
 from torch import Tensor
 
+from datamodules import settings
 from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
 from datamodules.types import BatchSpec, Observation
@@ -94,12 +95,13 @@ def test_a_saturated_action_still_has_a_gradient() -> None:
     torch.testing.assert_close(policy.net.net[-1].bias.grad[:2], torch.tensor([0.1, 0.1]))
 
 
-def test_the_policy_is_rebuilt_from_problem_and_architecture() -> None:
+def test_the_policy_is_rebuilt_from_problem_and_recipe() -> None:
     policy = build()
-    other = BCPolicy(policy.problem, **json.loads(json.dumps(policy.architecture)))
+    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    other = settings.build(plain, BCPolicy, ["plp_lightning"], policy.problem)
     other.load_state_dict(policy.state_dict())
     assert not isinstance(policy, AligningPolicy)
-    assert other.architecture == policy.architecture
+    assert settings.recipe(other, ["problem"]) == settings.recipe(policy, ["problem"])
     state = np.ones((2, 7), np.float32)
     np.testing.assert_array_equal(*(p.act(Observation(state), "large", ["lift", "push"]) for p in (policy, other)))
 

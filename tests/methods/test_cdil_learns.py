@@ -50,10 +50,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> TransferDataModule:
 def learned(data: TransferDataModule) -> CdilPolicy:
     policy = small_policy(data)
     train(CdilPositions(policy, epochs=15, optimizer=tiny.adamw(5e-3)), data)
-    train(
-        CdilAlignment(policy, epochs=30, optimizer=tiny.adamw(3e-3), discriminator_hidden=48, discriminator_layers=2),
-        data,
-    )
+    players = tiny.adamw(3e-3, first_moment=0.5)
+    train(CdilAlignment(policy, epochs=30, optimizer=players, discriminator_hidden=48, discriminator_layers=2), data)
     train(CdilDynamics(policy, epochs=15, optimizer=tiny.adamw(5e-3)), data)
     train(CdilAdaptation(policy, epochs=80, optimizer=tiny.adamw(5e-3)), data)
     return policy.eval()

@@ -8,16 +8,20 @@ import pytest
 import seen
 import tiny
 import torch
+from command import ROOT, SMOKE
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch, BatchSpec
+from plp_lightning.cli.config import parse
 from plp_lightning.methods import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions, Phase
-from plp_lightning.methods.cdil.alignment import slowed
+from plp_lightning.methods.cdil.alignment import CdilWeights
 from plp_lightning.methods.cdil.networks import TaskNetwork
 from plp_lightning.methods.cdil.phases import CdilPhase
+from plp_lightning.methods.optimization import slowed
 
+OVERLAY = ["--config", str(ROOT / "configs" / "methods" / "cdil.yaml")]
 PHASES = (CdilPositions, CdilAlignment, CdilDynamics, CdilAdaptation)
 TRAINED = {
     CdilPositions: {"positions", "perception"},
@@ -149,9 +153,9 @@ def test_weights_scale_their_terms(
     data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     torch.manual_seed(0)
-    plain = CdilAlignment(policy, 1.0, 1.0, 1.0, 1.0, noise=0.0, penalty_weight=1.0)
+    plain = CdilAlignment(policy, CdilWeights(1.0, 1.0, 1.0, 1.0, 1.0), noise=0.0)
     torch.manual_seed(0)
-    heavy = CdilAlignment(policy, 2.0, 3.0, 5.0, 7.0, noise=0.0, penalty_weight=11.0)
+    heavy = CdilAlignment(policy, CdilWeights(2.0, 3.0, 5.0, 7.0, 11.0), noise=0.0)
     begin(plain, data, monkeypatch)
     begin(heavy, data, monkeypatch)
     batch = first_batch(data, plain.batch_spec)
@@ -194,14 +198,16 @@ def test_rates_fall_in_a_line_that_meets_0_after_the_last_epoch(epoch: int, slow
     assert slowed(epoch, 10, slowdown) == pytest.approx(share)
 
 
-def test_a_share_above_1_is_refused(policy: CdilPolicy) -> None:
-    with pytest.raises(ConfigError, match=r"alignment.slowdown is 1.5; expected a share from 0 to 1"):
-        CdilAlignment(policy, slowdown=1.5)
+def test_a_share_above_1_is_refused() -> None:
+    wanted = r"alignment\.lr_scheduler\.share is 1\.5; expected a share from 0 to 1; change it"
+    with pytest.raises(ConfigError, match=wanted):
+        parse([*SMOKE, *OVERLAY, "--alignment.lr_scheduler.share", "1.5"])
 
 
 def test_one_optimiser_holds_both_players_with_a_rate_of_each(policy: CdilPolicy) -> None:
-    phase = CdilAlignment(policy, discriminator_lr=0.25, optimizer=tiny.adamw(0.5, 0.125))
-    groups = phase.configure_optimizers().param_groups
+    phase = CdilAlignment(policy, discriminator_lr=0.25, optimizer=tiny.adamw(0.5, 0.125, 0.5))
+    optimizer = phase.optimizer(phase.parameter_groups())
+    groups = optimizer.param_groups
     held = [{id(p) for p in group["params"]} for group in groups]
     assert held == [{id(p) for p in part.parameters()} for part in (policy.translator, phase.discriminators)]
     assert [(g["lr"], g["weight_decay"], g["betas"]) for g in groups] == [(x, 0.125, (0.5, 0.999)) for x in (0.5, 0.25)]

@@ -7,6 +7,7 @@ import pytest
 import tiny
 import torch
 
+from datamodules import settings
 from datamodules.transfer import TransferDataModule
 from plp_lightning.methods import CdilPolicy
 
@@ -47,6 +48,7 @@ def test_source_and_target_are_those_of_the_problem_not_the_first_and_the_last(d
     assert policy.encode({"tall": tiny.observe(np.zeros((2, 5)))})["tall"].shape == (2, 3)
 
 
-def test_the_architecture_rebuilds_the_policy(policy: CdilPolicy) -> None:
-    again = CdilPolicy(type(policy.problem).from_dict(policy.problem.to_dict()), **policy.architecture)
+def test_its_recipe_rebuilds_the_policy(policy: CdilPolicy) -> None:
+    problem = type(policy.problem).from_dict(policy.problem.to_dict())
+    again = settings.build(settings.recipe(policy, ["problem"]), CdilPolicy, ["plp_lightning"], problem)
     again.load_state_dict(policy.state_dict())

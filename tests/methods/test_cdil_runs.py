@@ -87,7 +87,11 @@ def test_the_page_sets_what_it_shares_with_the_method() -> None:
     printed = yaml.safe_load(plp("fit", *page, *OVERLAY, "--print_config").out)
     assert printed["policy"]["init_args"]["scaling"] == {"position": 1.0, "velocity": 1.0}
     assert printed["alignment"]["class_path"].endswith("CdilAlignment")
-    assert printed["adaptation"]["init_args"] == {"epochs": 50, "lr": 5e-4, "weight_decay": 1e-5}
+    adaptation = printed["adaptation"]["init_args"]
+    assert adaptation.keys() == {"epochs", "optimizer", "lr_scheduler"}
+    assert (adaptation["epochs"], adaptation["lr_scheduler"]) == (50, None)
+    assert adaptation["optimizer"]["class_path"].endswith("FusedAdamW")
+    assert adaptation["optimizer"]["init_args"] == {"lr": 5e-4, "weight_decay": 1e-5, "first_moment": 0.9}
 
 
 def test_images_are_translated_as_their_feature_points(tmp_path: Path) -> None:

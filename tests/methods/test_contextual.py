@@ -23,6 +23,7 @@ from plp_lightning.methods.contextual.cloning import prompt_episodes
 from plp_lightning.methods.contextual.policy import first_frames, last_frames
 from plp_lightning.methods.optimization import CosineDecay
 from plp_lightning.methods.policy import AligningPolicy
+from plp_lightning.networks import ImageEncoding
 
 SMALL, LARGE = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5)
 WHOLE = BatchSpec("none", pairs="whole")
@@ -158,10 +159,13 @@ def test_episodes_longer_than_its_memory_are_an_error(data: TransferDataModule) 
     ("settings", "told"),
     [
         ({"hidden": 10, "heads": 4}, r"hidden is 10; expected a multiple of heads, which is 4"),
-        ({"dropout": 1.0}, r"dropout is 1\.0; expected a share from 0 to below 1"),
-        ({"max_length": 0}, r"max_length is 0; expected at least 1"),
-        ({"heads": 0}, r"heads is 0; expected at least 1"),
-        ({"decoder_layers": 0}, r"decoder_layers is 0; expected at least 1"),
+        ({"dropout": 1.0}, r"ContextualPolicy\.dropout is 1\.0; expected a share from 0 to below 1"),
+        ({"max_length": 0}, r"max_length is 0; expected a whole number, at least 1"),
+        ({"heads": 0}, r"heads is 0; expected a whole number, at least 1"),
+        (
+            {"decoder_layers": 0},
+            r"decoder_layers is 0; expected a whole number, at least 1",
+        ),
     ],
 )
 def test_wrong_sizes_are_told(settings: dict[str, float], told: str) -> None:

@@ -38,11 +38,11 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
 def test_its_own_settings_win_over_the_page(study: list[str], epochs: int, pairs: int) -> None:
     experiment = parse([*tiny_smoke(Path())[:2], *OVERLAY, *study])
     settings = yaml.safe_load(experiment.config)
-    assert experiment.data.pairs == pairs
+    assert experiment.data.batching.pairs == pairs
     assert list(experiment.phases) == ["alignment"]
     assert "adaptation" not in settings
     assert settings["alignment"]["init_args"]["epochs"] == epochs
-    assert settings["alignment"]["init_args"]["lr"] == 1e-3
+    assert settings["alignment"]["init_args"]["optimizer"]["init_args"]["lr"] == 1e-3
 
 
 def test_a_run_is_evaluated_in_the_target_domain_alone(unbroken: RunDirectory) -> None:

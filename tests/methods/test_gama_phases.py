@@ -130,7 +130,7 @@ def test_each_loss_of_alignment_reaches_its_own_player_only(
         phase.training_step(batch, 0)
         reached = {".".join(n.split(".")[:2]) for n, g in gradients(phase, phase.parts[name]).items() if g.any()}
         assert reached == players[name], name
-    held = {id(p) for group in phase.optimizer().param_groups for p in group["params"]}
+    held = {id(p) for group in phase.optimizer(phase.parameter_groups()).param_groups for p in group["params"]}
     assert not held & {id(p) for p in phase.policy.source_policy.parameters()}
 
 
@@ -138,7 +138,7 @@ def test_players_learn_at_rates_of_their_own(trajectory_file: Path) -> None:
     phase = WatchedAlignment(
         policy_of(tiny.data_module(trajectory_file)), optimizer=tiny.adamw(1.0), discriminator_lr=2.0, dynamics_lr=3.0
     )
-    groups = phase.optimizer().param_groups
+    groups = phase.optimizer(phase.parameter_groups()).param_groups
     parts = phase.policy.state_map, phase.discriminator, phase.policy.dynamics
     for group, part, rate in zip(groups, parts, (1.0, 2.0, 3.0), strict=True):
         assert group["lr"] == rate
@@ -160,7 +160,7 @@ def test_phases_change_what_they_are_for(
     make_trainer: Callable[..., Trainer],
 ) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = kind(policy_of(data), weight_decay=0.1)
+    phase = kind(policy_of(data), optimizer=tiny.adamw(1e-3, 0.1))
     before = {name: value.clone() for name, value in phase.policy.state_dict().items()}
     make_trainer(FreezeGuard(), epochs=1).fit(phase, datamodule=data)
     now = phase.policy.state_dict()

@@ -8,6 +8,7 @@ import tiny
 import torch
 from torch import Tensor
 
+from datamodules import settings
 from datamodules.types import Observation
 from plp_lightning.methods.gama.networks import TargetDynamics, TransitionDiscriminator
 from plp_lightning.methods.gama.policy import GamaPolicy
@@ -62,9 +63,10 @@ def test_the_action_map_sees_the_state_if_it_is_told_to(action_map_state: bool) 
     assert torch.equal(first, second) is not action_map_state
 
 
-def test_the_architecture_rebuilds_the_policy_after_json() -> None:
+def test_its_recipe_rebuilds_the_policy_after_json() -> None:
     policy = build(action_map_state=True)
-    again = GamaPolicy(policy.problem, **json.loads(json.dumps(policy.architecture)))
+    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    again = settings.build(plain, GamaPolicy, ["plp_lightning"], policy.problem)
     again.load_state_dict(policy.state_dict())
     observation, task = inputs()
     assert torch.equal(

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,12 +13,13 @@ from lightning.pytorch import Callback, Trainer
 
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
+from datamodules.settings import build
 from datamodules.types import BatchSpec
 from plp_lightning.callbacks.checkpointing import RandomState, best_and_last, read_checkpoint
 from plp_lightning.methods.optimization import CosineDecay
-from plp_lightning.methods.phase import loss_weights
 from plp_lightning.methods.plp import Adaptation, Alignment
 from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.methods.plp.terms import MMD, TCC, DomainAdversarial, ImageReconstruction, TermFactory
 from plp_lightning.runs.metrics_file import MetricsFile
 
 
@@ -75,7 +77,8 @@ def test_a_checkpoint_rebuilds_the_policy_without_its_configuration(
     for which in ("best", "last"):
         checkpoint = read_checkpoint(tmp_path / "c" / f"{which}.ckpt")
         card = checkpoint["policy"]
-        again = PortablePolicy(TransferProblem.from_dict(card["problem"]), **card["architecture"])
+        problem = TransferProblem.from_dict(card["problem"])
+        again = build(card, PortablePolicy, ["plp_lightning"], problem)
         again.load_state_dict(
             {n.removeprefix("policy."): v for n, v in checkpoint["state_dict"].items() if n.startswith("policy.")}
         )
@@ -119,13 +122,24 @@ def test_cosine_lowers_the_rate_to_nothing_over_the_whole_phase(
     assert trainer.optimizers[0].param_groups[0]["lr"] == pytest.approx(0)
 
 
-@pytest.mark.parametrize("name", ["mmd", "tcc", "adversarial", "penalty", "reconstruction"])
-def test_no_weight_is_below_zero(name: str, trajectory_file: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (MMD, "weight"),
+        (TCC, "weight"),
+        (DomainAdversarial, "weight"),
+        (DomainAdversarial, "penalty_weight"),
+        (ImageReconstruction, "weight"),
+    ],
+)
+def test_no_weight_is_below_zero(kind: TermFactory, name: str, trajectory_file: Path) -> None:
     policy = tiny.policy(tiny.data_module(trajectory_file))
-    wanted = rf"the weight of {name} is -0.1; expected 0 or more; set alignment.{name}_weight"
+    wanted = rf"{kind.__name__}.{name} is -0.1; expected a number, at least 0; change it"  # type: ignore[attr-defined]
     with pytest.raises(ConfigError, match=wanted):
-        Alignment(policy, tiny.terms("mmd"), **{f"{name}_weight": -0.1})
+        Alignment(policy, {"term": partial(kind, **{name: -0.1})})
 
 
-def test_weights_come_back_as_they_were() -> None:
-    assert loss_weights({"mmd": 0.0, "tcc": 2.5}) == {"mmd": 0.0, "tcc": 2.5}
+def test_weights_come_back_as_they_were(trajectory_file: Path) -> None:
+    policy = tiny.policy(tiny.data_module(trajectory_file))
+    phase = Alignment(policy, {"mmd": partial(MMD, weight=0.0), "tcc": partial(TCC, weight=2.5)})
+    assert {name: term.weight for name, term in phase.terms.items()} == {"mmd": 0.0, "tcc": 2.5}

@@ -9,6 +9,7 @@ import tiny
 import torch
 from torch import Tensor
 
+from datamodules import settings
 from datamodules.batches.normalization import Statistics
 from datamodules.errors import ConfigError
 from datamodules.types import DomainSpec, Observation, ObservationKey
@@ -268,9 +269,9 @@ def test_scaling_travels_with_the_weights() -> None:
     assert torch.equal(fitted(observation, task).action["small"], fresh(observation, task).action["small"])
 
 
-def test_the_architecture_rebuilds_the_policy_after_json() -> None:
+def test_its_recipe_rebuilds_the_policy_after_json() -> None:
     policy = build(decoder_state=["a"])
-    plain = json.loads(json.dumps(policy.architecture))
-    again = PortablePolicy(tiny.problem([SMALL, LARGE, TWIN], TASKS), **plain)
+    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    again = settings.build(plain, PortablePolicy, ["plp_lightning"], tiny.problem([SMALL, LARGE, TWIN], TASKS))
     again.load_state_dict(policy.state_dict())
-    assert again.architecture == policy.architecture
+    assert settings.recipe(again, ["problem"]) == settings.recipe(policy, ["problem"])

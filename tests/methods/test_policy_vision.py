@@ -10,9 +10,11 @@ import tiny
 import torch
 from torch import Tensor
 
+from datamodules import settings
 from datamodules.errors import ConfigError, UserError
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.networks import ImageEncoding
 
 TASKS = ["reach", "push", "lift"]
 
@@ -33,8 +35,7 @@ def build(
         tiny.problem(domains, TASKS, {spec.name: tiny.statistics(spec, i) for i, spec in enumerate(domains)}),
         latent=6,
         hidden=8,
-        image_channels=image_channels,
-        image_features=5,
+        image_encoder=ImageEncoding(image_channels, 5),
         decoder_state=decoder_state,  # type: ignore[arg-type]
     )
 
@@ -162,11 +163,11 @@ def test_acting_needs_numpy_images_alone() -> None:
     torch.testing.assert_close(torch.from_numpy(found), by_hand.detach())
 
 
-def test_the_architecture_rebuilds_a_policy_that_sees_after_json() -> None:
+def test_its_recipe_rebuilds_a_policy_that_sees_after_json() -> None:
     policy = build(LEFT, RIGHT)
-    plain = json.loads(json.dumps(policy.architecture))
-    again = PortablePolicy(tiny.problem([LEFT, RIGHT], TASKS), **plain)
+    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    again = settings.build(plain, PortablePolicy, ["plp_lightning"], tiny.problem([LEFT, RIGHT], TASKS))
     again.load_state_dict(policy.state_dict())
-    assert again.architecture == policy.architecture
+    assert settings.recipe(again, ["problem"]) == settings.recipe(policy, ["problem"])
     observation, task = inputs(LEFT, RIGHT)
     assert torch.equal(again(observation, task).action["left"], policy(observation, task).action["left"])

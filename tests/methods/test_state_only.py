@@ -7,6 +7,7 @@ import json
 import os
 import signal
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.methods.plp import Alignment
 from plp_lightning.methods.plp.losses import mmd, tcc
+from plp_lightning.methods.plp.terms import MMD, TCC, DomainAdversarial, ImageReconstruction
 from plp_lightning.methods.state_only.phases import StateOnlyAdaptation, StateOnlyAlignment, StateOnlyPolicy
 from plp_lightning.runs.metrics_file import read_rows
 
@@ -75,7 +77,7 @@ def next_and_inverse(data: TransferDataModule, policy: StateOnlyPolicy, batch: B
 
 def test_the_parts_of_a_step_are_the_separate_losses_and_their_weighted_sum(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = Recorded(build(data), ["mmd", "tcc"], 0.3, 0.7)
+    phase = Recorded(build(data), {"mmd": partial(MMD, weight=0.3), "tcc": partial(TCC, weight=0.7)})
     batch = one_batch(data, phase)
     total = phase.training_step(batch, 0)
     latents = {d: phase.policy.encode({d: s.observation})[d] for d, s in batch.steps.items()}
@@ -103,7 +105,7 @@ def test_the_prediction_teaches_encoder_and_common_policy_and_the_inverse_dynami
     trajectory_file: Path,
 ) -> None:
     data = tiny.data_module(trajectory_file)
-    phase = Recorded(build(data), ["mmd", "tcc"])
+    phase = Recorded(build(data), tiny.terms("mmd", "tcc"))
     phase.training_step(one_batch(data, phase), 0)
     policy = phase.policy
     parts = {"encoder": policy.encoder, "common": policy.common, "decoder": policy.decoder}
@@ -176,16 +178,17 @@ def test_inverse_dynamics_has_to_see_the_state(trajectory_file: Path) -> None:
 def test_every_setting_of_alignment_arrives_under_its_name(trajectory_file: Path) -> None:
     phase = StateOnlyAlignment(
         build(tiny.data_module(trajectory_file)),
-        ["mmd"],
-        mmd_weight=0.2,
-        tcc_weight=0.3,
-        adversarial_weight=0.4,
-        penalty_weight=0.5,
-        reconstruction_weight=0.6,
-        mmd_bandwidths=[0.7],
+        {
+            "mmd": partial(MMD, weight=0.2, bandwidths=(0.7,)),
+            "tcc": partial(TCC, weight=0.3),
+            "adversarial": partial(DomainAdversarial, weight=0.4, penalty_weight=0.5),
+            "reconstruction": partial(ImageReconstruction, weight=0.6),
+        },
     )
-    assert phase.weights == {"mmd": 0.2, "tcc": 0.3, "adversarial": 0.4, "penalty": 0.5, "reconstruction": 0.6}
-    assert phase.mmd_bandwidths == (0.7,)
+    weights = {name: term.weight for name, term in phase.terms.items()}
+    assert weights == {"mmd": 0.2, "tcc": 0.3, "adversarial": 0.4, "reconstruction": 0.6}
+    assert phase.terms["adversarial"].penalty_weight == 0.5
+    assert phase.terms["mmd"].bandwidths == (0.7,)
 
 
 def test_its_phases_train_no_other_policy(trajectory_file: Path) -> None:

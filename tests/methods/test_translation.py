@@ -58,7 +58,8 @@ def test_each_camera_has_eyes_of_its_own_and_a_blind_policy_has_none(kind: Calla
     blind = kind(problem, hidden=8, image_channels=[])
     assert blind.perception.sizes == {"left": 2, "right": 2}
     assert blind.features("left", Observation(torch.zeros(5, 2))).shape == (5, 2)
-    with pytest.raises(ConfigError, match=r"image_channels is \[4, 0\]; expected at least 1 each"):
+    wanted = r"Policy\.image_channels is 0; expected a whole number, at least 1; change it"
+    with pytest.raises(ConfigError, match=wanted):
         kind(problem, image_channels=[4, 0])
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
 import seen
+import tiny
 import torch
 from lightning.pytorch import Trainer
 from torch import Tensor
@@ -21,7 +23,14 @@ from plp_lightning.losses import behavioural_cloning, reconstruction
 from plp_lightning.methods.plp import Adaptation, Alignment
 from plp_lightning.methods.plp.losses import mmd, tcc
 from plp_lightning.methods.plp.policy import DecoderState, PortablePolicy
-from plp_lightning.networks import ImageEncoding
+from plp_lightning.methods.plp.terms import MMD, TCC, DomainAdversarial, ImageReconstruction, TermFactory
+from plp_lightning.networks import ImageDecoder, ImageEncoding
+
+WEIGHED: dict[str, TermFactory] = {
+    "mmd": partial(MMD, weight=0.3),
+    "tcc": partial(TCC, weight=0.7),
+    "adversarial": DomainAdversarial,
+}
 
 
 class Recorded(Alignment):
@@ -42,12 +51,23 @@ def looks(phase: Alignment | Adaptation) -> list[int]:
 
 
 def align(
-    data: TransferDataModule, terms: list[str], weight: float = 0.5, decoder_state: DecoderState = "none"
+    data: TransferDataModule, names: Sequence[str], weight: float = 0.5, decoder_state: DecoderState = "none"
 ) -> Recorded:
     torch.manual_seed(1)
-    return Recorded(
-        seen.policy(data, decoder_state), terms, 0.3, 0.7, reconstruction_weight=weight, optimizer=tiny.adamw(1e-3)
-    )  # type: ignore[arg-type]
+    terms = {name: WEIGHED[name] for name in names} | {"reconstruction": partial(ImageReconstruction, weight=weight)}
+    return Recorded(seen.policy(data, decoder_state), terms, optimizer=tiny.adamw(1e-3))
+
+
+def reconstruction_of(phase: Alignment) -> ImageReconstruction:
+    term = phase.terms["reconstruction"]
+    assert isinstance(term, ImageReconstruction)
+    return term
+
+
+def image_decoder_of(phase: Alignment) -> ImageDecoder:
+    decoder = reconstruction_of(phase).image_decoder
+    assert decoder is not None
+    return decoder
 
 
 @pytest.mark.parametrize("decoder_state", ["none", "all"])
@@ -64,8 +84,7 @@ def test_one_pass_over_all_images_gives_the_losses_of_separate_passes(
     latent = {d: policy.encode({d: s.observation})[d] for d, s in steps.items()}
     plan = policy.latent_action(latent, {d: s.task for d, s in steps.items()})
     action = policy.decode(plan, {d: s.observation for d, s in steps.items()})
-    assert phase.image_decoder is not None
-    memory = {d: phase.image_decoder(latent[d], torch.full((16,), i)) for i, d in enumerate(steps)}
+    memory = {d: image_decoder_of(phase)(latent[d], torch.full((16,), i)) for i, d in enumerate(steps)}
     (u, of_u), (v, of_v) = ((policy.encode({d: s.observation})[d], s) for d, s in batch.pairs.items())
     expected = {
         "bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}),
@@ -83,7 +102,7 @@ def test_reconstruction_teaches_the_image_encoder(seen_file: Path) -> None:
     data = seen.data_module(seen_file)
     phase = align(data, [])
     phase.training_step(next(iter(data.loader(BatchSpec("proxy_tasks")))), 0)
-    parameters = [*phase.policy.image_encoder.parameters(), *phase.image_decoder.parameters()]  # type: ignore[union-attr]
+    parameters = [*phase.policy.image_encoder.parameters(), *image_decoder_of(phase).parameters()]  # type: ignore[union-attr]
     found = torch.autograd.grad(phase.parts["reconstruction"], parameters)
     assert all(gradient.abs().sum() > 0 for gradient in found)
 
@@ -91,7 +110,7 @@ def test_reconstruction_teaches_the_image_encoder(seen_file: Path) -> None:
 def test_a_weight_of_zero_leaves_the_image_decoder_away(seen_file: Path) -> None:
     data = seen.data_module(seen_file)
     phase = align(data, ["mmd"], weight=0.0)
-    assert phase.image_decoder is None
+    assert reconstruction_of(phase).image_decoder is None
     phase.training_step(next(iter(data.loader(BatchSpec("proxy_tasks")))), 0)
     assert "reconstruction" not in phase.parts
 
@@ -101,20 +120,21 @@ def test_images_may_be_halved_before_they_are_reconstructed(
     seen_file: Path, halved: int, sides: tuple[int, int]
 ) -> None:
     data = seen.data_module(seen_file)
-    phase = Alignment(seen.policy(data), tiny.terms(), reconstruction_downsampling=halved)
-    image = phase.reconstruct({"right": torch.zeros(2, 8)})["right"]
+    term = ImageReconstruction(seen.policy(data), downsampling=halved)
+    image = term.reconstruct({"right": torch.zeros(2, 8)})["right"]
     assert image.shape == (2, *sides, 3)
 
 
-@pytest.mark.parametrize("halved", [-1, 2])
-def test_images_are_not_halved_away(seen_file: Path, halved: int) -> None:
-    with pytest.raises(ConfigError, match=f"reconstruction_downsampling is {halved}; expected 0 to 1"):
-        Alignment(seen.policy(seen.data_module(seen_file)), tiny.terms(), reconstruction_downsampling=halved)
+@pytest.mark.parametrize(("halved", "expected"), [(-1, "a whole number, at least 0"), (2, "0 to 1")])
+def test_images_are_not_halved_away(seen_file: Path, halved: int, expected: str) -> None:
+    with pytest.raises(ConfigError, match=f"ImageReconstruction.downsampling is {halved}; expected {expected}"):
+        ImageReconstruction(seen.policy(seen.data_module(seen_file)), downsampling=halved)
 
 
 def test_the_image_decoder_is_no_part_of_the_policy(seen_file: Path) -> None:
     phase = align(seen.data_module(seen_file), [])
-    assert {name.split(".")[0] for name in phase.state_dict()} == {"policy", "image_decoder"}
+    assert {name.split(".")[0] for name in phase.state_dict()} == {"policy", "terms"}
+    assert {name.split(".")[2] for name in phase.state_dict() if name.startswith("terms")} == {"image_decoder"}
     assert not [name for name in phase.policy.state_dict() if "image_decoder" in name]
 
 

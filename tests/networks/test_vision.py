@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from datamodules.errors import ConfigError
-from plp_lightning.networks import ImageDecoder, ImageEncoder
+from plp_lightning.networks import ImageDecoder, ImageEncoder, ImageEncoding
 from plp_lightning.networks.vision import downsampled_sizes, initialise, pixel_coordinates
 
 
@@ -77,10 +77,13 @@ def test_first_activations_without_gradients_stay_below_the_bound() -> None:
     assert ImageEncoder((2048, 2048, 1), (64, 1), 1).most_rows == 1
 
 
-@pytest.mark.parametrize(("channels", "features"), [((4, 0), 5), ((-1,), 5), ((4,), 0)])
-def test_sizes_that_cannot_be_are_refused(channels: tuple[int, ...], features: int) -> None:
-    with pytest.raises(ConfigError, match=rf"image_features {features}; expected at least 1 each"):
-        ImageEncoder((8, 8, 3), channels, features)
+@pytest.mark.parametrize(
+    ("channels", "features", "told"),
+    [((4, 0), 5, "channels is 0"), ((-1,), 5, "channels is -1"), ((4,), 0, "features is 0")],
+)
+def test_sizes_that_cannot_be_are_refused(channels: tuple[int, ...], features: int, told: str) -> None:
+    with pytest.raises(ConfigError, match=rf"ImageEncoding\.{told}; expected a whole number, at least 1; change it"):
+        ImageEncoding(channels, features)
 
 
 @pytest.mark.parametrize("shape", [(64, 64, 3), (17, 30, 1), (1, 5, 3)])

@@ -13,6 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from plp_lightning.evaluation.scores import encode, sample_states
 from plp_lightning.methods.plp import Alignment
+from plp_lightning.methods.plp.terms import ImageReconstruction
 from plp_lightning.pictures.reconstructions import (
     ReconstructionPicture,
     reconstruction_figure,
@@ -23,6 +24,8 @@ from plp_lightning.pictures.reconstructions import (
 def test_each_domains_own_images_are_shown_and_what_the_decoder_makes_of_them(seen_file: Path) -> None:
     data = seen.data_module(seen_file)
     phase = Alignment(seen.policy(data), tiny.terms())
+    term = phase.terms["reconstruction"]
+    assert isinstance(term, ImageReconstruction)
     found = reconstructions(phase, data, 5)
     assert [*found] == ["left", "right"]
     for domain, (images, made) in found.items():
@@ -30,7 +33,7 @@ def test_each_domains_own_images_are_shown_and_what_the_decoder_makes_of_them(se
         assert states.image is not None
         np.testing.assert_array_equal(images, states.image.numpy())
         latent = encode(phase.policy, domain, states)
-        np.testing.assert_allclose(made, phase.reconstruct({domain: latent})[domain].detach().numpy(), atol=1e-5)
+        np.testing.assert_allclose(made, term.reconstruct({domain: latent})[domain].detach().numpy(), atol=1e-5)
 
 
 def test_what_was_seen_is_above_what_was_made_of_it() -> None:

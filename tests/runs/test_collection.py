@@ -3,7 +3,7 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +85,7 @@ def test_demonstrations_do_not_depend_on_the_number_of_processes(tmp_path: Path)
     ]
     with TrajectoryFile.open(tmp_path / "two.hdf5") as file:
         assert file.tasks == tiny.TASKS
-        assert file.provenance["recipe"] == {**vars(RECIPE), "processes": 2}
+        assert file.provenance["recipe"] == {**asdict(RECIPE), "processes": 2}
         assert file.provenance["experts"] == {"flat": "LinearPointExpert", "tall": "LinearPointExpert"}
 
 

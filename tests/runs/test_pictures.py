@@ -40,4 +40,4 @@ def test_every_phase_leaves_its_pictures(phase: str, run: RunDirectory) -> None:
 def test_callbacks_of_the_user_run_beside_them(run: RunDirectory) -> None:
     events = EventAccumulator(str(run.phase("alignment")))
     events.Reload()
-    assert "lr-AdamW" in events.Tags()["scalars"] or "lr-Adam" in events.Tags()["scalars"]
+    assert "lr-FusedAdamW" in events.Tags()["scalars"]
