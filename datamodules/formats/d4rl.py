@@ -42,7 +42,7 @@ class Segment(NamedTuple):
     row: int
     """Its first step in the walk."""
     states: np.ndarray
-    """``(T, 4)``, see :class:`Walk`."""
+    """``(T + 1, 4)``, see :class:`Walk`; ``(T, 4)`` if what was seen last is not in the walk."""
     actions: np.ndarray
     """``(T, 2)``."""
     goal: np.ndarray
@@ -70,15 +70,17 @@ def split_walk(walk: Walk) -> list[Segment]:
     """Cut a walk after each step that ends the way to a goal, by ``timeouts`` or because the next goal is another.
 
     When a goal is reached the generating script records the same observation once more, with an action for the new
-    goal; a piece therefore begins after a first step that repeats the one before it. Pieces may be empty.
+    goal; a piece therefore begins after a first step that repeats the one before it. What was seen after the piece
+    before is then not in the walk: the observation after the repeated one is two actions later. Elsewhere it is what
+    the next piece begins with. Pieces may be empty.
     """
     another = (walk.goals[1:] != walk.goals[:-1]).any(axis=1)
     ends = np.flatnonzero(np.append(another, True) | walk.timeouts) + 1
-    starts = np.append(0, ends[:-1])
-    starts[1:] += (walk.states[starts[1:]] == walk.states[starts[1:] - 1]).all(axis=1)
+    repeated = np.append((walk.states[ends[:-1]] == walk.states[ends[:-1] - 1]).all(axis=1), True)
+    starts = np.append(0, ends[:-1] + repeated[:-1])
     return [
-        Segment(int(a), walk.states[a:b], walk.actions[a:b], walk.goals[b - 1])
-        for a, b in zip(starts, ends, strict=True)
+        Segment(int(a), walk.states[a : b + (not unknown)], walk.actions[a:b], walk.goals[b - 1])
+        for a, b, unknown in zip(starts, ends, repeated, strict=True)
     ]
 
 
