@@ -112,8 +112,8 @@ def _pair(file: TrajectoryFile, domain: str, task: str, arrays: DomainArrays) ->
     yield Finding("info", place, summary)
     unknown = int((arrays.last[episodes] < 0).sum())
     if unknown:
-        message = f"of {unknown} of {len(episodes)} demonstrations nobody knows what was seen last"
-        yield Finding("info", place, f"{message}: phases that look a step ahead leave out their last steps")
+        message = "end without a last observation: phases that look a step ahead leave their last steps out"
+        yield Finding("info", place, f"{unknown} of {len(episodes)} demonstrations {message}")
     failed = int((~file.episodes(domain).success[episodes]).sum())
     if failed:
         yield Finding("warning", place, f"{failed} of {len(episodes)} demonstrations did not succeed")

@@ -61,9 +61,7 @@ def next_and_inverse(data: TransferDataModule, policy: StateOnlyPolicy, batch: B
     for domain, steps in batch.steps.items():
         dataset = data.datasets[domain]
         for row in steps.row.tolist():
-            if row + 1 in dataset.offset:
-                continue
-            here, after = (dataset.observation.take(slice(r, r + 1)) for r in (row, row + 1))
+            here, after = (dataset.observation.take(slice(r, r + 1)) for r in (row, int(dataset.next_row[row])))
             z, following = policy.encode({domain: here})[domain], policy.encode({domain: after})[domain]
             plan = policy.latent_action({domain: z}, {domain: dataset.task[row : row + 1]})[domain]
             errors["next"].append((plan - following).square().mean().item())

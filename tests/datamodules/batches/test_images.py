@@ -45,10 +45,12 @@ def in_memory(file: TrajectoryFile) -> np.ndarray:
 # -- rows of the file --------------------------------------------------------------------------------
 
 
-def test_rows_of_episodes_lie_end_to_end(file: TrajectoryFile) -> None:
+def test_rows_of_episodes_lie_end_to_end_and_last_observations_behind_them(file: TrajectoryFile) -> None:
     assert file.episodes("camera").offset.tolist() == [0, 4, 9, 13, 18, 22, 27]
-    assert file.rows("camera", [1, 0]).tolist() == [4, 5, 6, 7, 8, 0, 1, 2, 3]
-    assert file.rows("camera").tolist() == list(range(27))
+    assert file.episodes("camera").last.tolist() == [-1, 27, -1, 28, -1, 29]
+    assert file.rows("camera", [3, 1, 0]).tolist() == [13, 14, 15, 16, 17, 4, 5, 6, 7, 8, 0, 1, 2, 3, 28, 27]
+    assert file.rows("camera", [0]).tolist() == [0, 1, 2, 3]
+    assert file.rows("camera").tolist() == list(range(30))
     with pytest.raises(UserError, match="has episodes 0 to 5; asked for 6"):
         file.rows("camera", [6])
 
@@ -70,12 +72,12 @@ def test_a_domain_without_a_camera_has_no_images(file: TrajectoryFile) -> None:
 # -- images that stay in their file ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rows", [[0], [5, 0, 5, 13], [*range(14)], [-1, 2]])
+@pytest.mark.parametrize("rows", [[0], [5, 0, 15, 5, 13], [*range(16)], [-1, 2]])
 def test_an_image_file_answers_as_a_tensor_would(file: TrajectoryFile, rows: list[int]) -> None:
     whole = torch.from_numpy(in_memory(file))
     images = ImageFile(file, "camera", CHOSEN, kept_bytes=0)
-    assert images.shape == whole.shape == (14, 4, 5, 3)
-    assert len(images) == 14
+    assert images.shape == whole.shape == (16, 4, 5, 3)
+    assert len(images) == 16
     for index in (np.array(rows), torch.tensor(rows)):
         assert torch.equal(images[index], whole[index])
     for part in (slice(2, 9), slice(None), slice(12, 40)):
@@ -98,7 +100,7 @@ def test_no_more_is_kept_than_was_allowed_and_that_is_read_once(
     images = ImageFile(file, "camera", np.arange(6), kept_bytes=blocks * size)
     whole = torch.from_numpy(file.images("camera"))
     for seed in range(4):
-        rows = torch.randperm(27, generator=torch.Generator().manual_seed(seed))
+        rows = torch.randperm(30, generator=torch.Generator().manual_seed(seed))
         assert torch.equal(images[rows], whole[rows])
         assert sum(block.nbytes for block in images.blocks.values()) == images.held_bytes <= blocks * size
     kept = sorted(images.blocks)

@@ -26,7 +26,9 @@ def experiments(draw):
                 draw(st.integers(0, len(keys))), ObservationKey("cam", (2, 3, draw(st.integers(1, 3))), "image")
             )
         specs.append(DomainSpec(name, tuple(keys), draw(st.integers(1, 3)), draw(st.integers(1, 50))))
-    keys = st.tuples(st.sampled_from(specs), st.sampled_from(TASKS), st.integers(0, 2**40), st.integers(1, 20))
+    keys = st.tuples(
+        *(st.sampled_from(specs), st.sampled_from(TASKS), st.integers(0, 2**40), st.integers(1, 20), st.booleans())
+    )
     chosen = draw(st.lists(keys, max_size=8, unique_by=lambda key: (key[0].name, *key[1:3])))
     return specs, [demonstration(*key) for key in chosen]
 
@@ -100,10 +102,13 @@ def test_read_lays_chosen_episodes_end_to_end(tmp_path_factory, chosen):
     assert list(arrays.offset) == [0, *np.cumsum([len(t) for t in single])]
     for number, trajectory in enumerate(single):
         steps = slice(arrays.offset[number], arrays.offset[number + 1])
-        np.testing.assert_array_equal(arrays.state[steps], trajectory.observation.state)
-        np.testing.assert_array_equal(arrays.image[steps], trajectory.observation.image)
+        seen = [*range(steps.start, steps.stop), *([arrays.last[number]] if trajectory.last_known else [])]
+        np.testing.assert_array_equal(arrays.state[seen], trajectory.observation.state)
+        np.testing.assert_array_equal(arrays.image[seen], trajectory.observation.image)
         np.testing.assert_array_equal(arrays.actions[steps], trajectory.actions)
-    assert len(arrays.image) == arrays.offset[-1]
+    assert [last >= 0 for last in arrays.last] == [t.last_known for t in single]
+    assert len(arrays.actions) == arrays.offset[-1]
+    assert len(arrays.state) == len(arrays.image) == arrays.offset[-1] + sum(t.last_known for t in single)
 
 
 def test_state_holds_the_keys_in_the_order_of_the_spec(path):
