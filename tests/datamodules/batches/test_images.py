@@ -143,6 +143,7 @@ def test_memory_is_shared_out_by_size_and_images_that_fit_are_tensors(seen_file:
 
 def contents(batch: Batch) -> list[torch.Tensor]:
     steps = [t for s in batch.steps.values() for t in (*s.observation, s.action, s.task, s.row)]
+    steps += [t for s in batch.steps.values() for t in s.next_observation or ()]
     return [*steps, *(t for s in batch.pairs.values() for t in (*s.observation, s.frame, s.mask))]
 
 
@@ -151,7 +152,7 @@ def test_batches_are_the_same_wherever_images_are(seen_file: Path, place: float)
     one, other = seen.data_module(seen_file), seen.data_module(seen_file, place)
     assert isinstance(one.datasets["left"].observation.image, torch.Tensor)
     assert isinstance(other.datasets["left"].observation.image, ImageFile)
-    for batch_spec in (BatchSpec(pairs="thinned"), BatchSpec("mix")):
+    for batch_spec in (BatchSpec(pairs="thinned"), BatchSpec("mix"), BatchSpec(next_observation=True)):
         for first, second in zip(one.loader(batch_spec), other.loader(batch_spec), strict=True):
             assert len(contents(first)) == len(contents(second)) > 0
             assert all(torch.equal(a, b) for a, b in zip(contents(first), contents(second), strict=True))
@@ -166,11 +167,14 @@ def test_batches_hold_the_images_that_were_recorded(seen_file: Path) -> None:
         for t in seen.demonstrations(6)
         for state, image in zip(t.observation.state, t.observation.image, strict=True)  # type: ignore[arg-type]
     }
-    for batch in data.loader(BatchSpec(pairs="thinned")):
-        for part in (*batch.steps.values(), *batch.pairs.values()):
-            assert part.observation.image is not None
-            assert part.observation.image.dtype is torch.uint8
-            for state, image in zip(part.observation.state, part.observation.image, strict=True):
+    for batch in data.loader(BatchSpec(pairs="thinned", next_observation=True)):
+        parts = [part.observation for part in (*batch.steps.values(), *batch.pairs.values())]
+        parts += [steps.next_observation for steps in batch.steps.values() if steps.next_observation is not None]
+        assert len(parts) == 3 * len(batch.steps)
+        for part in parts:
+            assert part.image is not None
+            assert part.image.dtype is torch.uint8
+            for state, image in zip(part.state, part.image, strict=True):
                 np.testing.assert_array_equal(image, recorded[tuple(state.tolist())])
 
 
@@ -179,12 +183,13 @@ def test_the_fingerprint_is_that_of_the_values_wherever_they_are(seen_file: Path
     assert len(prints) == 1
 
 
-def test_one_other_pixel_is_another_fingerprint(seen_file: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("row", [0, -1])
+def test_one_other_pixel_is_another_fingerprint(seen_file: Path, tmp_path: Path, row: int) -> None:
     changed = seen.demonstrations(6)[0]
     image = changed.observation.image
     assert image is not None
     image = image.copy()
-    image[0, 0, 0, 0] ^= 1
+    image[row, 0, 0, 0] ^= 1
     again = Trajectory(
         changed.domain, changed.task, Observation(changed.observation.state, image), changed.actions, changed.seed, True
     )

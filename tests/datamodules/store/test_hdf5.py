@@ -230,6 +230,8 @@ def changed(state=None, actions=None, image=None) -> Trajectory:
     ("trajectory", "message"),
     [
         (changed(state=np.array([[0, 1]] * 4 + [[0, np.nan]])), r"not finite in 'joints', step 4"),
+        (changed(np.array([[0, 1]] * 5 + [[0, np.inf]]), image=np.zeros((6, 4, 5, 3), np.uint8)), r"'joints', step 5"),
+        (changed(state=np.zeros((6, 2))), r"images \(\(5, 4, 5, 3\).*; expected \(\(6, 4, 5, 3\)"),
         (changed(state=np.full((5, 2), 1e300)), r"not finite in 'joints', step 0"),
         (changed(state=np.zeros((5, 3))), r"state of shape \(5, 3\); expected \(5, 2\)"),
         (

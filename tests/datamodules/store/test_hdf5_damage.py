@@ -117,9 +117,10 @@ def test_a_damaged_file_is_refused_in_one_line(path, damage, message):
 
 
 @pytest.mark.parametrize("place", ["/domains/arm/actions", "/domains/camera/obs/joints", "/domains/arm/episodes/seed"])
-def test_a_flipped_bit_is_found(path, place):
+@pytest.mark.parametrize("first", [True, False])
+def test_a_flipped_bit_is_found(path, place, first):
     with h5py.File(path) as file:
-        start = file[place].id.get_offset()
+        start = file[place].id.get_offset() + (0 if first else file[place].nbytes - file[place].dtype.itemsize)
     content = bytearray(path.read_bytes())
     content[start] ^= 1
     path.write_bytes(content)
