@@ -45,7 +45,9 @@ def write(path: Path, count: int = 6) -> None:
     write_trajectories(path, specs, TASKS, demonstrations(count), {"command": "tests"})
 
 
-def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 32) -> TransferDataModule:
+def data_module(
+    path: Path, image_memory: float = IN_MEMORY, batch_size: int = 32, trajectories: int = 10
+) -> TransferDataModule:
     """Demonstrations of the file at ``path``: left is the source, right the target domain."""
     return TransferDataModule(
         path,
@@ -56,7 +58,7 @@ def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 3
         "left",
         "right",
         TARGET,
-        trajectories=10,
+        trajectories=trajectories,
         target_trajectories=4,
         val_fraction=0.2,
         batch_size=batch_size,
