@@ -93,7 +93,8 @@ def split_walk(walk: Walk) -> list[Segment]:
 def _led_to(walk: Walk, row: int) -> np.ndarray:
     """Where the action before ``row`` led ``(1, 4)``; ``(0, 4)`` if the walk ends there or shows the same as before."""
     place = walk.places[row : row + 1]
-    return place[(place != walk.states[row - 1]).any(axis=1)]
+    led_to: np.ndarray = place[(place != walk.states[row - 1]).any(axis=1)]
+    return led_to
 
 
 def _floats(file: h5py.File, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
