@@ -187,7 +187,7 @@ class TransferDataModule(LightningDataModule):
         return np.sort(order[:count] if part == "val" else order[count:])
 
     def rows(self, tasks: Sequence[str], part: Part, next_observation: bool = False) -> dict[str, np.ndarray]:
-        """Rows of ``tasks`` by domain, only those with a next observation if it is asked for; empty domains go."""
+        """Rows of ``tasks`` by domain, if asked for those with a next observation; domains without any are left out."""
         found = {d: dataset.rows_of(self.episodes(d, tasks, part)) for d, dataset in self.datasets.items()}
         if next_observation:
             found = {d: rows[self.datasets[d].next_row.numpy()[rows] >= 0] for d, rows in found.items()}

@@ -174,8 +174,9 @@ def _written(array: h5py.Dataset, episodes: Iterable[Episode]) -> Iterator[np.nd
         start += steps
         last.append(images[steps:].copy())  # a view would keep all images in memory
         yield images[:steps]
-    array[start:] = np.concatenate(last)
-    yield np.concatenate(last)
+    ends = np.concatenate(last)
+    array[start:] = ends
+    yield ends
 
 
 def _image(file: TrajectoryFile, domain: str, episode: int) -> np.ndarray | None:

@@ -250,7 +250,7 @@ class Demonstrator:
 
     def hear(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
         """Keep what ``episodes (n,)`` show now, until they show something else: at their ends it stays."""
-        self.last.update((e, observation.take(i)) for i, e in enumerate(episodes.tolist()))
+        self.last.update((e, observation.take(i).map(np.copy)) for i, e in enumerate(episodes.tolist()))
 
     def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
         """Observations ``(T + 1, …)`` and actions ``(T, A)`` of one episode."""

@@ -11,6 +11,7 @@ import pytest
 import tiny
 import torch
 
+from datamodules.batches.dataset import DomainDataset
 from datamodules.errors import TrajectoryFileError
 from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
@@ -92,6 +93,20 @@ def test_the_fingerprint_tells_apart_which_demonstrations_end_as_seen(tmp_path: 
         write(tmp_path / f"{len(prints)}.hdf5", [*pair, *others, *rest])
         prints.add(tiny.data_module(tmp_path / f"{len(prints)}.hdf5", target_trajectories=2).fingerprint)
     assert len(prints) == 2
+
+
+def test_of_every_step_that_experts_showed_it_is_known_what_was_seen_next(trajectory_file: Path) -> None:
+    data = tiny.data_module(trajectory_file)
+    for dataset in data.datasets.values():
+        assert torch.equal(dataset.next_row.sort().values, torch.arange(len(dataset.observation))[~firsts(dataset)])
+    for tasks in (tiny.PROXIES, (tiny.TARGET,)):
+        everything, known = (data.rows(tasks, "train", needed) for needed in (False, True))
+        assert all(np.array_equal(rows, known[domain]) for domain, rows in everything.items())
+
+
+def firsts(dataset: DomainDataset) -> torch.Tensor:
+    """Which observations follow no action."""
+    return torch.isin(torch.arange(len(dataset.observation)), torch.from_numpy(dataset.offset[:-1]))
 
 
 def test_a_last_observation_that_is_not_finite_is_refused(trajectory_file: Path) -> None:
