@@ -223,7 +223,7 @@ class Demonstrator:
         self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
         self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
         self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
-        self.last: dict[int, Observation[np.ndarray]] = {}
+        self.last: Observation[np.ndarray] | None = None
 
     @cached_property
     def drifts(self) -> np.ndarray:
@@ -249,14 +249,18 @@ class Demonstrator:
         return noisy
 
     def hear(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
-        """Keep what ``episodes (n,)`` show now, until they show something else: at their ends it stays."""
-        self.last.update((e, observation.take(i).map(np.copy)) for i, e in enumerate(episodes.tolist()))
+        """Keep what ``episodes (n,)`` show now, at first all of them; what an episode shows at its end stays."""
+        self.last = observation.map(np.copy) if self.last is None else self.last
+        for kept, shown in zip(self.last, observation, strict=True):
+            if kept is not None:
+                kept[episodes] = shown
 
     def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
         """Observations ``(T + 1, …)`` and actions ``(T, A)`` of one episode."""
+        assert self.last is not None, "an episode shows something before it is over"
         spots = [(step, np.searchsorted(step[0], index)) for step in self.steps]
         rows = [(obs.take(i), actions[i]) for (ids, obs, actions), i in spots if i < len(ids) and ids[i] == index]
-        seen = [*(obs for obs, _ in rows), self.last[index]]
+        seen = [*(obs for obs, _ in rows), self.last.take(index)]
         images = [obs.image for obs in seen if obs.image is not None]
         observation = Observation(np.stack([obs.state for obs in seen]), np.stack(images) if images else None)
         return observation, np.stack([action for _, action in rows])
@@ -275,7 +279,7 @@ class Heard(Recorder):
         self.demonstrator = demonstrator
 
     def _forget(self) -> None:
-        self.demonstrator.last.clear()
+        self.demonstrator.last = None
 
     def _keep(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
         self.demonstrator.hear(observation, episodes)
