@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -130,7 +130,8 @@ class TransferDataModule(LightningDataModule):
         index = {name: i for i, name in enumerate(self.tasks)}
         episode_task = np.array([index[name] for name in arrays.task])
         seed = file.episodes(domain).seed[chosen]
-        return build_dataset(file.spec(domain), arrays.state, image, arrays.actions, arrays.offset, episode_task, seed)
+        numbers = (arrays.offset, episode_task, seed, arrays.last)
+        return build_dataset(file.spec(domain), arrays.state, image, arrays.actions, *numbers)
 
     @property
     def specs(self) -> list[DomainSpec]:
@@ -159,9 +160,11 @@ class TransferDataModule(LightningDataModule):
         count = max(1, round(self.val_fraction * len(ids))) if self.val_fraction > 0 and len(ids) > 1 else 0
         return np.sort(order[:count] if part == "val" else order[count:])
 
-    def rows(self, tasks: Sequence[str], part: Part) -> dict[str, np.ndarray]:
-        """Rows of ``tasks`` by domain; domains without any are left out."""
+    def rows(self, tasks: Sequence[str], part: Part, next_observation: bool = False) -> dict[str, np.ndarray]:
+        """Rows of ``tasks`` by domain, if asked for those with a next observation; domains without any are left out."""
         found = {d: dataset.rows_of(self.episodes(d, tasks, part)) for d, dataset in self.datasets.items()}
+        if next_observation:
+            found = {d: rows[self.datasets[d].next_row.numpy()[rows] >= 0] for d, rows in found.items()}
         return {domain: rows for domain, rows in found.items() if len(rows)}
 
     def statistics(self) -> dict[str, Statistics]:
@@ -176,25 +179,16 @@ class TransferDataModule(LightningDataModule):
         datasets = self._tables(batch_spec)
         stride = self.batching.stride if batch_spec.pairs == "thinned" else 1
         pairs = None if batch_spec.pairs == "none" else PairSource(datasets, self._pair_order(), stride)
-        return Loader(datasets, self._order(batch_spec), pairs, batch_spec.course)
+        return Loader(datasets, self._order(batch_spec), pairs, batch_spec)
 
     def _order(self, batch_spec: BatchSpec) -> Order:
         if batch_spec.steps == "none":
             return NoSteps(self._pair_batches())
-        proxy_tasks = self.rows(self.proxy_tasks, "train")
+        rows_of = partial(self.rows, part="train", next_observation=batch_spec.next_observation)
         if batch_spec.steps == "mix":
-            return MixOrder(
-                self.rows(self.target_tasks, "train"),
-                proxy_tasks,
-                self.batching.mix_ratio,
-                self.batching.batch_size,
-                self.seed,
-            )
-        rows = (
-            proxy_tasks
-            if batch_spec.steps == "proxy_tasks"
-            else self.rows([*self.proxy_tasks, *self.target_tasks], "train")
-        )
+            target, proxies = rows_of(self.target_tasks), rows_of(self.proxy_tasks)
+            return MixOrder(target, proxies, self.batching.mix_ratio, self.batching.batch_size, self.seed)
+        rows = rows_of([*self.proxy_tasks, *(self.target_tasks if batch_spec.steps == "all" else ())])
         if self.batching.tasks_per_batch is None:
             return AlignmentOrder(rows, self.batching.batch_size, self.seed)
         tasks = {domain: self.datasets[domain].task.numpy()[found] for domain, found in rows.items()}
@@ -241,7 +235,7 @@ class TransferDataModule(LightningDataModule):
             return self._held_out_pairs(datasets)
         tasks = self.target_tasks if batch_spec.steps == "mix" else self.proxy_tasks
         size = min(dataset.rows_at_a_time(1024) for dataset in datasets.values())
-        return FixedBatches(datasets, self.rows(tasks, "val"), size, batch_spec.course)
+        return FixedBatches(datasets, self.rows(tasks, "val", batch_spec.next_observation), size, batch_spec)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         """Walk through a batch only if there is somewhere to move it."""

@@ -117,7 +117,8 @@ class Trajectory:
     domain: str
     task: str
     observation: Observation[np.ndarray]
-    """State ``(T, O)``, image ``(T, H, W, C)``: what the expert saw before each action."""
+    """State ``(T + 1, O)``, image ``(T + 1, H, W, C)``: what the expert saw before each action and after the last one;
+    T rows if nobody knows what was seen last."""
     actions: np.ndarray
     """Float32 ``(T, A)`` in [-1, 1]."""
     seed: int
@@ -125,29 +126,24 @@ class Trajectory:
     success: bool
 
     def __post_init__(self) -> None:
-        if len(self.observation.state) != len(self.actions) or len(self.actions) == 0:
+        if len(self.observation.state) - len(self.actions) not in (0, 1) or len(self.actions) == 0:
             raise UserError(
                 f"trajectory of task {self.task!r} in domain {self.domain!r} has {len(self.observation.state)} "
-                f"observations and {len(self.actions)} actions; expected the same number, at least one"
+                f"observations and {len(self.actions)} actions; expected at least one action, and as many observations "
+                "or one more, of what was seen last"
             )
 
     def __len__(self) -> int:
         return len(self.actions)
 
-
-class Course(NamedTuple):
-    """Where steps stand in their trajectories, and what comes after them."""
-
-    following: Observation[Tensor]
-    """What is seen after the step's action, ``(B, …)``; after the last step of a trajectory that step again."""
-    last: Tensor
-    """``(B,)`` bool: nothing was seen after this step."""
-    progress: Tensor
-    """``(B,)`` float32: share of the trajectory that lies behind, 0 at the first step and 1 at the last."""
+    @property
+    def last_known(self) -> bool:
+        """Whether the observation after the last action is there."""
+        return len(self.observation.state) > len(self)
 
 
 class Steps(NamedTuple):
-    """Single steps of one domain, drawn from many trajectories."""
+    """Single steps of one domain, drawn from many trajectories; transitions, if they hold what is seen next."""
 
     observation: Observation[Tensor]
     """State ``(B, O)``, image ``(B, H, W, C)``."""
@@ -157,8 +153,11 @@ class Steps(NamedTuple):
     """``(B,)`` int64, index into the experiment's task names."""
     row: Tensor
     """``(B,)`` int64, position of the step in its domain's dataset (see ``datamodules.batches.dataset``)."""
-    course: Course | None = None
-    """Where each step stands in its trajectory, if the phase asks for it."""
+    next_observation: Observation[Tensor] | None = None
+    """State ``(B, O)``, image ``(B, H, W, C)``: what is seen after the action, if the phase asks for it."""
+    progress: Tensor | None = None
+    """``(B,)`` float32: share of the trajectory that lies behind, 0 at its first step and 1 at its last, if the phase
+    asks for it."""
 
 
 class PackedTrajectories(NamedTuple):
@@ -183,13 +182,15 @@ class BatchSpec:
             equal shares of every domain; of the target task with a ``mix`` of proxies; or ``none``.
         pairs: Trajectories of one task in two domains: ``thinned`` out, ``whole``, or ``none``.
         images: Whether images are looked at, where there are cameras.
-        course: Whether steps shall say what follows them.
+        next_observation: Whether steps hold what is seen next; only steps of which that is known are drawn then.
+        progress: Whether steps hold how far their trajectories are.
     """
 
     steps: Literal["proxy_tasks", "all", "mix", "none"] = "proxy_tasks"
     pairs: Literal["none", "thinned", "whole"] = "none"
     images: bool = True
-    course: bool = False
+    next_observation: bool = False
+    progress: bool = False
 
     def __post_init__(self) -> None:
         assert self.steps != "none" or self.pairs != "none", "a phase trains on steps, on pairs or on both"

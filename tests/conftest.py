@@ -45,6 +45,12 @@ def seen_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def format_1_0() -> Path:
+    """A file of format 1.0: four demonstrations of each task in both synthetic domains with cameras."""
+    return Path(__file__).parent / "datamodules" / "golden" / "format_1_0.hdf5"
+
+
+@pytest.fixture
 def make_trainer(tmp_path: Path) -> Callable[..., Trainer]:
     """Lightning's Trainer as runs have it, without loggers unless they are given."""
 

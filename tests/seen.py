@@ -48,10 +48,12 @@ def write(path: Path, count: int = 6) -> None:
     write_trajectories(path, specs, TASKS, demonstrations(count), {"command": "tests"})
 
 
-def data_module(path: Path, image_memory: float = IN_MEMORY, batch_size: int = 32) -> TransferDataModule:
+def data_module(
+    path: Path, image_memory: float = IN_MEMORY, batch_size: int = 32, trajectories: int = 10
+) -> TransferDataModule:
     """Demonstrations of the file at ``path``: left is the source, right the target domain."""
     roles = TransferRoles(("left", "right"), "left", "right", TASKS, PROXIES, TARGET, (TARGET,))
-    demonstrations = Demonstrations(trajectories=10, target_trajectories=4, val_fraction=0.2)
+    demonstrations = Demonstrations(trajectories=trajectories, target_trajectories=4, val_fraction=0.2)
     batching = Batching(batch_size=batch_size, pairs=3, stride=4)
     return TransferDataModule(path, roles, demonstrations, batching, image_memory=image_memory)
 

@@ -85,13 +85,17 @@ def spec(name: str, state: int, actions: int) -> DomainSpec:
     return DomainSpec(name, keys, actions, control_hz=10.0)
 
 
-def dataset(domain: DomainSpec, lengths: list[int], tasks: list[int]) -> DomainDataset:
-    """Trajectories of the given lengths and tasks; the state of row n is n in every column."""
-    steps = sum(lengths)
-    state = np.repeat(np.arange(steps, dtype=np.float32)[:, None], domain.state_size, axis=1)
+def dataset(domain: DomainSpec, lengths: list[int], tasks: list[int], known: Sequence[int] = ()) -> DomainDataset:
+    """Trajectories of the given lengths and tasks; the state of row n is n in every column.
+
+    Of the trajectories ``known``, in order, the last observation is there.
+    """
+    steps, last = sum(lengths), np.full(len(lengths), -1)
+    last[[*known]] = steps + np.arange(len(known))
+    state = np.repeat(np.arange(steps + len(known), dtype=np.float32)[:, None], domain.state_size, axis=1)
     actions = np.random.default_rng(0).uniform(-1, 1, (steps, domain.action_size)).astype(np.float32)
     offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return build_dataset(domain, state, None, actions, offset, np.array(tasks), np.arange(len(tasks)))
+    return build_dataset(domain, state, None, actions, offset, np.array(tasks), np.arange(len(tasks)), last)
 
 
 def statistics(domain: DomainSpec, seed: int) -> Statistics:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from datamodules.batches.images import Images
-from datamodules.types import Course, DomainSpec, Observation, Steps
+from datamodules.types import DomainSpec, Observation, Steps
 
 MOST_IMAGE_BYTES = 16 * 2**20
 """Of images that are looked at together, outside of training."""
@@ -21,12 +21,15 @@ MOST_IMAGE_BYTES = 16 * 2**20
 
 @dataclass(frozen=True)
 class StoredObservation:
-    """What the policy may see of all N steps."""
+    """What the policy may see before all N steps, then the L last observations that are known."""
 
     state: Tensor
-    """``(N, O)`` float32."""
+    """``(N + L, O)`` float32."""
     image: Images | None
-    """``(N, H, W, C)`` uint8, in memory or not; None without a camera or a use for it."""
+    """``(N + L, H, W, C)`` uint8, in memory or not; None without a camera or a use for it."""
+
+    def __len__(self) -> int:
+        return len(self.state)
 
     def take(self, rows: Any) -> Observation[Tensor]:
         """The observations at ``rows``, an index array or tensor, or a slice."""
@@ -35,11 +38,14 @@ class StoredObservation:
 
 @dataclass(frozen=True)
 class DomainDataset:
-    """The trajectories of one domain, end to end; N steps in E trajectories."""
+    """The trajectories of one domain, end to end; N steps in E trajectories.
+
+    Last observations stand behind those of the steps, so that a step's row is the same whether they are known or not.
+    """
 
     spec: DomainSpec
     observation: StoredObservation
-    """State ``(N, O)`` float32, image ``(N, H, W, C)`` uint8."""
+    """State ``(N + L, O)`` float32, image ``(N + L, H, W, C)`` uint8."""
     action: Tensor
     """``(N, A)`` float32."""
     task: Tensor
@@ -50,31 +56,32 @@ class DomainDataset:
     """``(E,)`` int64."""
     episode_seed: np.ndarray
     """``(E,)`` int64: seed of the initial state."""
+    next_row: Tensor
+    """``(N,)`` int64: row of the observation after each step; -1 if nobody knows it."""
 
     def __len__(self) -> int:
         return len(self.action)
 
-    def take(self, rows: Tensor, course: bool = False) -> Steps:
-        """The steps at ``rows (B,)`` int64, and if asked for where they stand in their trajectories."""
+    def take(self, rows: Tensor, next_observation: bool = False, progress: bool = False) -> Steps:
+        """The steps at ``rows (B,)`` int64, and if asked for what is seen next and how far their trajectories are.
+
+        Every one of the steps has to have a :attr:`next_row` if what is seen next is asked for.
+        """
         seen, action, task = self.observation.take(rows), self.action[rows], self.task[rows]
-        return Steps(seen, action, task, rows, self.course(rows) if course else None)
+        seen_next = self.observation.take(self._known_next(rows)) if next_observation else None
+        return Steps(seen, action, task, rows, seen_next, self.progress[rows] if progress else None)
 
-    def course(self, rows: Tensor) -> Course:
-        """What comes after the steps at ``rows (B,)`` int64, and how far they are."""
-        last = self.last_row[rows]
-        ends = rows == last
-        progress = 1 - (last - rows) / (last - self.first_row[rows]).clamp(min=1)
-        return Course(self.observation.take(rows + ~ends), ends, progress)
-
-    @cached_property
-    def first_row(self) -> Tensor:
-        """``(N,)`` int64: first row of each step's trajectory."""
-        return torch.from_numpy(np.repeat(self.offset[:-1], np.diff(self.offset)))
+    def _known_next(self, rows: Tensor) -> Tensor:
+        following = self.next_row[rows]
+        assert (following >= 0).all(), "what is seen next is known of every step that is drawn for it"
+        return following
 
     @cached_property
-    def last_row(self) -> Tensor:
-        """``(N,)`` int64: last row of each step's trajectory."""
-        return torch.from_numpy(np.repeat(self.offset[1:] - 1, np.diff(self.offset)))
+    def progress(self) -> Tensor:
+        """``(N,)`` float32: share of the trajectory that lies behind, 0 at its first step and 1 at its last."""
+        length = np.diff(self.offset)
+        to_go = torch.from_numpy(np.repeat(self.offset[1:] - 1, length)) - torch.arange(len(self))
+        return 1 - to_go / torch.from_numpy(np.repeat(length - 1, length)).clamp(min=1)
 
     def without_images(self) -> DomainDataset:
         """The same for those who don't look: nothing is read from the file for them."""
@@ -83,9 +90,12 @@ class DomainDataset:
     def pieces(self) -> Iterator[Tensor]:
         """All values, one after the other, in pieces that fit into memory."""
         yield from (self.observation.state, self.action, self.task)
+        if len(self.observation) > len(self):  # or else data without last observations would seem to have changed
+            yield self.next_row
         if self.observation.image is not None:
-            step = self.rows_at_a_time(len(self))
-            yield from (self.observation.image[i : i + step] for i in range(0, len(self), step))
+            rows = len(self.observation)
+            step = self.rows_at_a_time(rows)
+            yield from (self.observation.image[i : i + step] for i in range(0, rows, step))
 
     def rows_at_a_time(self, most: int) -> int:
         """``most``, or fewer steps if so many images would take up too much memory."""
@@ -116,10 +126,13 @@ def build_dataset(
     offset: np.ndarray,
     episode_task: np.ndarray,
     episode_seed: np.ndarray,
+    last: np.ndarray,
 ) -> DomainDataset:
     """Wrap the arrays of a trajectory file; the tensors share their memory."""
     observation = StoredObservation(torch.from_numpy(state), image)
-    task = torch.from_numpy(np.repeat(episode_task.astype(np.int64), np.diff(offset)))
-    return DomainDataset(
-        spec, observation, torch.from_numpy(actions), task, offset, episode_task.astype(np.int64), episode_seed
-    )
+    tasks = episode_task.astype(np.int64)
+    task = torch.from_numpy(np.repeat(tasks, np.diff(offset)))
+    next_row = np.arange(1, len(actions) + 1)
+    next_row[offset[1:] - 1] = last
+    action, following = torch.from_numpy(actions), torch.from_numpy(next_row)
+    return DomainDataset(spec, observation, action, task, offset, tasks, episode_seed, following)

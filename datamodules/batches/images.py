@@ -24,7 +24,7 @@ class ImageFile:
     Args:
         file: Where the images are; it may have been closed.
         domain: Whose images.
-        episodes: Which episodes, in order; their steps are the rows.
+        episodes: Which episodes, in order; their steps are the rows, then their last observations, as far as known.
         kept_bytes: How much of the images may be held in memory.
     """
 
@@ -61,7 +61,7 @@ class ImageFile:
 
 
 Images = Tensor | ImageFile
-"""Images of all steps of a domain, ``(N, H, W, C)`` uint8, wherever they are."""
+"""Images of all steps of a domain and those seen last, ``(N + L, H, W, C)`` uint8, wherever they are."""
 
 
 def stored_images(file: TrajectoryFile, episodes: Mapping[str, np.ndarray], memory: float) -> dict[str, Images]:

@@ -11,7 +11,13 @@ import torch
 from datamodules.batches.dataset import DomainDataset
 from datamodules.batches.orders import PairOrder
 from datamodules.batches.packing import thin_out
-from datamodules.types import Batch, PackedTrajectories
+from datamodules.types import Batch, BatchSpec, PackedTrajectories, Steps
+
+PLAIN = BatchSpec()
+
+
+def _take(dataset: DomainDataset, rows: np.ndarray, batch_spec: BatchSpec) -> Steps:
+    return dataset.take(torch.from_numpy(rows), batch_spec.next_observation, batch_spec.progress)
 
 
 class Order(Protocol):
@@ -55,7 +61,7 @@ class Loader:
         datasets: By domain.
         order: Rows of each step.
         pairs: Trajectory pairs of a step; None if no loss asks for them.
-        course: Whether steps shall say what follows them.
+        batch_spec: What steps shall hold.
     """
 
     def __init__(
@@ -63,9 +69,9 @@ class Loader:
         datasets: Mapping[str, DomainDataset],
         order: Order,
         pairs: Callable[[int, int], dict[str, PackedTrajectories]] | None = None,
-        course: bool = False,
+        batch_spec: BatchSpec = PLAIN,
     ) -> None:
-        self.datasets, self.order, self.pairs, self.course = datasets, order, pairs, course
+        self.datasets, self.order, self.pairs, self.batch_spec = datasets, order, pairs, batch_spec
         self._next_epoch, self._next_step = 0, 0
 
     def __len__(self) -> int:
@@ -79,8 +85,8 @@ class Loader:
         for step in range(self._next_step, len(rows)):
             last = step + 1 == len(rows)
             self._next_epoch, self._next_step = (epoch + 1, 0) if last else (epoch, step + 1)
-            transitions = {d: self.datasets[d].take(torch.from_numpy(r), self.course) for d, r in rows[step].items()}
-            yield Batch(transitions, self.pairs(epoch, step) if self.pairs else {})
+            steps = {domain: _take(self.datasets[domain], r, self.batch_spec) for domain, r in rows[step].items()}
+            yield Batch(steps, self.pairs(epoch, step) if self.pairs else {})
 
     def state_dict(self) -> dict[str, int]:
         """Epoch and step of the next batch."""
@@ -98,7 +104,7 @@ class FixedBatches:
         datasets: By domain.
         rows: Rows of each domain.
         batch_size: Steps in a batch.
-        course: Whether steps shall say what follows them.
+        batch_spec: What steps shall hold.
     """
 
     def __init__(
@@ -106,9 +112,9 @@ class FixedBatches:
         datasets: Mapping[str, DomainDataset],
         rows: Mapping[str, np.ndarray],
         batch_size: int,
-        course: bool = False,
+        batch_spec: BatchSpec = PLAIN,
     ) -> None:
-        self.datasets, self.course = datasets, course
+        self.datasets, self.batch_spec = datasets, batch_spec
         self.chunks = [(d, r[i : i + batch_size]) for d, r in rows.items() for i in range(0, len(r), batch_size)]
 
     def __len__(self) -> int:
@@ -118,7 +124,7 @@ class FixedBatches:
     def __iter__(self) -> Iterator[Batch]:
         """One domain's steps at a time."""
         for domain, rows in self.chunks:
-            yield Batch({domain: self.datasets[domain].take(torch.from_numpy(rows), self.course)}, {})
+            yield Batch({domain: _take(self.datasets[domain], rows, self.batch_spec)}, {})
 
 
 class FixedPairs:

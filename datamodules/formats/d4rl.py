@@ -34,6 +34,8 @@ class Walk(NamedTuple):
     """``(N, 2)`` float32: where the walker is heading, in m."""
     timeouts: np.ndarray
     """``(N,)`` bool: the step is the last on the way to its goal."""
+    places: np.ndarray
+    """``(N, 4)`` float32: where the point was before each action, whatever was seen; else ``states``."""
 
 
 class Segment(NamedTuple):
@@ -42,7 +44,7 @@ class Segment(NamedTuple):
     row: int
     """Its first step in the walk."""
     states: np.ndarray
-    """``(T, 4)``, see :class:`Walk`."""
+    """``(T + 1, 4)``, see :class:`Walk`; ``(T, 4)`` if nobody knows where the last action led."""
     actions: np.ndarray
     """``(T, 2)``."""
     goal: np.ndarray
@@ -63,23 +65,36 @@ def read_walk(path: Path) -> Walk:
             _refuse(path, f"{steps} steps in actions", f"1 to {MAX_STEPS}")
         floats = {"observations": 4, "actions": 2, "infos/goal": 2}
         states, actions, goals = (_floats(file, name, (steps, size), path) for name, size in floats.items())
-        return Walk(states, actions, goals, _flags(file, "timeouts", (steps,), path))
+        moved = [
+            _floats(file, f"infos/{name}", (steps, 2), path) for name in ("qpos", "qvel") if f"infos/{name}" in file
+        ]
+        places = np.concatenate(moved, axis=1) if len(moved) == 2 else states
+        return Walk(states, actions, goals, _flags(file, "timeouts", (steps,), path), places)
 
 
 def split_walk(walk: Walk) -> list[Segment]:
     """Cut a walk after each step that ends the way to a goal, by ``timeouts`` or because the next goal is another.
 
     When a goal is reached the generating script records the same observation once more, with an action for the new
-    goal; a piece therefore begins after a first step that repeats the one before it. Pieces may be empty.
+    goal; a piece therefore begins after a first step that repeats the one before it. Where the last action of the
+    piece before led is then told by ``places`` alone: the observation after the repeated one is two actions later.
+    Pieces may be empty.
     """
     another = (walk.goals[1:] != walk.goals[:-1]).any(axis=1)
     ends = np.flatnonzero(np.append(another, True) | walk.timeouts) + 1
     starts = np.append(0, ends[:-1])
     starts[1:] += (walk.states[starts[1:]] == walk.states[starts[1:] - 1]).all(axis=1)
     return [
-        Segment(int(a), walk.states[a:b], walk.actions[a:b], walk.goals[b - 1])
+        Segment(int(a), np.concatenate([walk.states[a:b], _led_to(walk, b)]), walk.actions[a:b], walk.goals[b - 1])
         for a, b in zip(starts, ends, strict=True)
     ]
+
+
+def _led_to(walk: Walk, row: int) -> np.ndarray:
+    """Where the action before ``row`` led ``(1, 4)``; ``(0, 4)`` if the walk ends there or shows the same as before."""
+    place = walk.places[row : row + 1]
+    led_to: np.ndarray = place[(place != walk.states[row - 1]).any(axis=1)]
+    return led_to
 
 
 def _floats(file: h5py.File, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:

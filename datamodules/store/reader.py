@@ -14,15 +14,18 @@ import numpy as np
 from datamodules.errors import TrajectoryFileError, UserError
 from datamodules.store.guard import open_guarded, readable
 from datamodules.store.schema import (
-    EPISODE_COLUMNS,
     Header,
     array_paths,
     check_identity,
+    episode_columns,
     read_hashes,
     read_header,
     stored_digest,
 )
 from datamodules.types import DomainSpec, Observation, Trajectory
+
+FAR_APART = 8
+"""Times as many rows as are asked for that one read may span."""
 
 
 class EpisodeTable(NamedTuple):
@@ -36,21 +39,26 @@ class EpisodeTable(NamedTuple):
     """``(E,)`` int64."""
     success: np.ndarray
     """``(E,)`` bool."""
+    last: np.ndarray
+    """``(E,)`` int64: row of the domain's observations that holds what was seen after the last action; -1 if nobody
+    knows, as in all episodes of files of format 1.0."""
 
 
 class DomainArrays(NamedTuple):
-    """Chosen episodes of one domain, laid end to end: N steps of E episodes."""
+    """Chosen episodes of one domain, laid end to end: N steps of E episodes, then the L last observations known."""
 
     state: np.ndarray
-    """``(N, O)`` float32: the domain's state keys, concatenated in the order of its spec."""
+    """``(N + L, O)`` float32: the domain's state keys, concatenated in the order of its spec."""
     image: np.ndarray | None
-    """``(N, H, W, C)`` uint8; None in a domain without a camera, or if images were not asked for."""
+    """``(N + L, H, W, C)`` uint8; None in a domain without a camera, or if images were not asked for."""
     actions: np.ndarray
     """``(N, A)`` float32 in [-1, 1]."""
     offset: np.ndarray
     """``(E + 1,)`` int64: where each episode begins, and N."""
     task: np.ndarray
     """``(E,)`` task names."""
+    last: np.ndarray
+    """``(E,)`` int64: row of state and image that holds an episode's last observation; -1 if nobody knows."""
 
 
 class TrajectoryFile:
@@ -66,6 +74,7 @@ class TrajectoryFile:
         self.tasks: tuple[str, ...] = header.tasks
         self.domains: tuple[DomainSpec, ...] = header.domains
         self.provenance: dict[str, Any] = header.provenance
+        self.version = header.version
         self.hashes = read_hashes(file)
         self._file: h5py.File | None = file
         self._owner = os.getpid()
@@ -135,8 +144,9 @@ class TrajectoryFile:
         if domain not in self._tables:
             self.spec(domain)
             group = f"/domains/{domain}/episodes"
-            offset, task, seed, success = (self._array(f"{group}/{name}")[()] for name in EPISODE_COLUMNS)
-            self._tables[domain] = EpisodeTable(offset, np.array(self.tasks, np.str_)[task], seed, success)
+            offset, task, *others = (self._array(f"{group}/{name}")[()] for name in episode_columns(self.version))
+            unknown = () if "last" in episode_columns(self.version) else (np.full(len(task), -1),)
+            self._tables[domain] = EpisodeTable(offset, np.array(self.tasks, np.str_)[task], *others, *unknown)
         return self._tables[domain]
 
     def read(
@@ -156,14 +166,17 @@ class TrajectoryFile:
         spec, table = self.spec(domain), self.episodes(domain)
         chosen, rows = self._chosen(domain, episodes), self.rows(domain, episodes)
         offset = np.concatenate([[0], np.cumsum(np.diff(table.offset)[chosen])]).astype(np.int64)
+        known = table.last[chosen] >= 0
+        last = np.where(known, offset[-1] + np.cumsum(known) - 1, -1)
         group = f"/domains/{domain}"
         columns = [self._gather(f"{group}/obs/{key.name}", rows) for key in spec.state_keys]
         state = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
         image = self.images(domain, episodes) if images and spec.image_key else None
-        return DomainArrays(state, image, self._gather(f"{group}/actions", rows), offset, table.task[chosen])
+        actions = self._gather(f"{group}/actions", rows[: offset[-1]])
+        return DomainArrays(state, image, actions, offset, table.task[chosen], last)
 
     def rows(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """``(N,)`` int64: where the steps of episodes are in the domain's arrays, end to end.
+        """``(N + L,)`` int64: where the steps of episodes are in the domain's arrays, then their last observations.
 
         Raises:
             UserError: If the file has no such domain or episode.
@@ -171,10 +184,11 @@ class TrajectoryFile:
         offset, chosen = self.episodes(domain).offset, self._chosen(domain, episodes)
         lengths = np.diff(offset)[chosen]
         starts = offset[chosen] - np.cumsum(lengths) + lengths
-        return np.repeat(starts, lengths) + np.arange(lengths.sum())
+        last = self.episodes(domain).last[chosen]
+        return np.concatenate([np.repeat(starts, lengths) + np.arange(lengths.sum()), last[last >= 0]])
 
     def images(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Images of episodes ``(N, H, W, C)`` uint8, end to end.
+        """Images of episodes ``(N + L, H, W, C)`` uint8, end to end, then those seen last, as far as known.
 
         Raises:
             UserError: If the file has no such domain or episode, or the domain has no camera.
@@ -183,14 +197,14 @@ class TrajectoryFile:
         return self._stream(self._camera(domain), self.rows(domain, episodes))
 
     def image_range(self, domain: str, start: int, stop: int) -> np.ndarray:
-        """Images of the steps ``start`` to ``stop`` (or the last) of a domain's arrays, ``(n, H, W, C)`` uint8.
+        """Images of the rows ``start`` to ``stop`` (or the end) of a domain's observations, ``(n, H, W, C)`` uint8.
 
         Raises:
             UserError: If the domain has no camera.
             TrajectoryFileError: If the file turns out to be damaged.
         """
-        last = int(self.episodes(domain).offset[-1])
-        return self._stream(self._camera(domain), np.arange(start, min(stop, last)))
+        camera = self._camera(domain)
+        return self._stream(camera, np.arange(start, min(stop, len(self._array(camera)))))
 
     def image_block(self, domain: str) -> int:
         """Images that are compressed together, and so cost no more to read than one of them."""
@@ -210,7 +224,7 @@ class TrajectoryFile:
 
     def damaged(self) -> list[str]:
         """Paths of the arrays whose values differ from what the writer stored; reads the whole file."""
-        paths = [place for spec in self.domains for place in array_paths(spec)]
+        paths = [place for spec in self.domains for place in array_paths(spec, self.version)]
         return [place for place in paths if self.hashes.get(place) != self._stored_digest(place)]
 
     def _camera(self, domain: str) -> str:
@@ -243,11 +257,11 @@ class TrajectoryFile:
         return self._file[place]
 
     def _gather(self, place: str, rows: np.ndarray) -> np.ndarray:
-        """One read that spans all rows, then a gather: fastest for vectors."""
+        """One read that spans all rows, then a gather: fastest for vectors, unless the rows are far apart."""
+        if not len(rows) or np.ptp(rows) >= FAR_APART * len(rows):
+            return self._stream(place, rows)
         with readable(self.path):
             array = self._array(place)
-            if not len(rows):
-                return np.empty((0, *array.shape[1:]), array.dtype)
             span: np.ndarray = array[rows.min() : rows.max() + 1]
             return span if _is_range(rows) else span[rows - rows.min()]
 

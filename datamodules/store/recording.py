@@ -31,11 +31,11 @@ class Episode(NamedTuple):
     seed: int
     success: bool
     state: np.ndarray
-    """``(T, O)`` float32."""
+    """``(T + 1, O)`` float32; ``(T, O)`` if nobody knows what was seen last."""
     actions: np.ndarray
     """``(T, A)`` float32."""
     image: Callable[[], np.ndarray | None]
-    """Gives ``(T, H, W, C)`` uint8, or None."""
+    """Gives ``(T + 1, H, W, C)`` or ``(T, H, W, C)`` uint8, or None."""
 
 
 def plain_json(provenance: Mapping[str, Any]) -> dict[str, Any]:
@@ -76,12 +76,13 @@ def stored_episodes(file: TrajectoryFile, domain: str) -> list[Episode]:
     if domain not in {spec.name for spec in file.domains}:
         return []
     table, arrays = file.episodes(domain), file.read(domain, images=False)
-    states, actions = (np.split(array, table.offset[1:-1]) for array in (arrays.state, arrays.actions))
-    rows = zip(table.task, table.seed, table.success, states, actions, strict=False)
-    return [
-        Episode(str(task), int(seed), bool(success), state, action, partial(_image, file, domain, number))
-        for number, (task, seed, success, state, action) in enumerate(rows)
-    ]
+    episodes = []
+    for number, (start, stop, last) in enumerate(zip(table.offset[:-1], table.offset[1:], table.last, strict=True)):
+        name, seed, success = str(table.task[number]), int(table.seed[number]), bool(table.success[number])
+        rows, image = np.append(np.arange(start, stop), last), partial(_image, file, domain, number)
+        state = arrays.state[rows[rows >= 0]]
+        episodes.append(Episode(name, seed, success, state, arrays.actions[start:stop], image))
+    return episodes
 
 
 def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episode]], compress: bool) -> None:
@@ -124,12 +125,15 @@ def _write_domain(
     file: h5py.File, spec: DomainSpec, tasks: Sequence[str], episodes: Sequence[Episode], compress: bool
 ) -> dict[str, str]:
     offset = np.cumsum([0, *(len(episode.actions) for episode in episodes)], dtype=np.int64)
-    state = np.concatenate([np.empty((0, spec.state_size), np.float32), *(episode.state for episode in episodes)])
+    known = np.array([len(episode.state) > len(episode.actions) for episode in episodes], np.bool_)
+    seen = [*(e.state[: len(e.actions)] for e in episodes), *(e.state[len(e.actions) :] for e in episodes)]
+    state = np.concatenate([np.empty((0, spec.state_size), np.float32), *seen])
     arrays = {f"obs/{key.name}": state[:, spec.columns([key.name])] for key in spec.state_keys}
     arrays["actions"] = np.concatenate(
         [np.empty((0, spec.action_size), np.float32), *(episode.actions for episode in episodes)]
     )
     arrays["episodes/offset"] = offset
+    arrays["episodes/last"] = np.where(known, offset[-1] + np.cumsum(known) - 1, -1).astype(np.int64)
     arrays["episodes/task_id"] = np.array([tasks.index(episode.task) for episode in episodes], np.int32)
     arrays["episodes/seed"] = np.array([episode.seed for episode in episodes], np.int64)
     arrays["episodes/success"] = np.array([episode.success for episode in episodes], np.bool_)
@@ -137,7 +141,7 @@ def _write_domain(
     hashes = {f"{group.name}/{name}": _write_array(group, name, array, compress) for name, array in arrays.items()}
     if spec.image_key is not None:
         place = f"{group.name}/obs/{spec.image_key.name}"
-        hashes[place] = _write_images(group, spec.image_key, int(offset[-1]), episodes)
+        hashes[place] = _write_images(group, spec.image_key, len(state), episodes)
     for key in spec.observation:
         group[f"obs/{key.name}"].attrs.update({"kind": key.kind, "unit": key.unit, "shape": key.shape})
     return hashes
@@ -152,23 +156,27 @@ def _write_array(group: h5py.Group, name: str, array: np.ndarray, compress: bool
     return digest(array.dtype, array.shape, [array])
 
 
-def _write_images(group: h5py.Group, key: ObservationKey, steps: int, episodes: Sequence[Episode]) -> str:
-    shape, name = (steps, *key.shape), f"obs/{key.name}"
-    if not steps:
+def _write_images(group: h5py.Group, key: ObservationKey, rows: int, episodes: Sequence[Episode]) -> str:
+    shape, name = (rows, *key.shape), f"obs/{key.name}"
+    if not rows:
         return _write_array(group, name, np.empty(shape, np.uint8), False)
-    chunk = (min(IMAGE_CHUNK, steps), *key.shape)
+    chunk = (min(IMAGE_CHUNK, rows), *key.shape)
     array = group.create_dataset(name, shape, np.uint8, chunks=chunk, compression="gzip", compression_opts=GZIP_LEVEL)
     return digest(array.dtype, shape, _written(array, episodes))
 
 
 def _written(array: h5py.Dataset, episodes: Iterable[Episode]) -> Iterator[np.ndarray]:
-    start = 0
+    start, last = 0, [np.empty((0, *array.shape[1:]), array.dtype)]
     for episode in episodes:
-        images = episode.image()
+        images, steps = episode.image(), len(episode.actions)
         assert images is not None, "a domain with a camera has images, as was checked"
-        array[start : start + len(images)] = images
-        start += len(images)
-        yield images
+        array[start : start + steps] = images[:steps]
+        start += steps
+        last.append(images[steps:].copy())  # a view would keep all images in memory
+        yield images[:steps]
+    ends = np.concatenate(last)
+    array[start:] = ends
+    yield ends
 
 
 def _image(file: TrajectoryFile, domain: str, episode: int) -> np.ndarray | None:
@@ -184,12 +192,13 @@ def _check_names(trajectory: Trajectory, specs: Mapping[str, DomainSpec], tasks:
 
 def _episode(trajectory: Trajectory, spec: DomainSpec) -> Episode:
     state, actions = (np.asarray(array, np.float32) for array in (trajectory.observation.state, trajectory.actions))
-    steps, image, camera = len(trajectory), trajectory.observation.image, spec.image_key
-    if state.shape != (steps, spec.state_size):
-        _refuse(trajectory, f"state of shape {state.shape}", f"{(steps, spec.state_size)}", "check the domain's keys")
+    image, camera = trajectory.observation.image, spec.image_key
+    steps, seen = len(trajectory), len(trajectory) + trajectory.last_known
+    if state.shape != (seen, spec.state_size):
+        _refuse(trajectory, f"state of shape {state.shape}", f"{(seen, spec.state_size)}", "check the domain's keys")
     if actions.shape != (steps, spec.action_size):
         _refuse(trajectory, f"actions of shape {actions.shape}", f"{(steps, spec.action_size)}", "check the expert")
-    wanted = None if camera is None else ((steps, *camera.shape), np.dtype(np.uint8))
+    wanted = None if camera is None else ((seen, *camera.shape), np.dtype(np.uint8))
     found = None if image is None else (image.shape, image.dtype)
     if found != wanted:
         _refuse(trajectory, f"images {found}", f"{wanted}", "check the domain's camera")

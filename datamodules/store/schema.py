@@ -21,13 +21,16 @@ from datamodules.store.guard import is_name
 from datamodules.types import DomainSpec, ObservationKey
 
 FORMAT = "plp-trajectories"
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
+"""Of files that are written."""
+READABLE = (FORMAT_VERSION, "1.0")
 HEADER = "header"
 EPISODE_COLUMNS: dict[str, type[np.generic]] = {
     "offset": np.int64,
     "task_id": np.int32,
     "seed": np.int64,
     "success": np.bool_,
+    "last": np.int64,
 }
 _HASH_BLOCK_BYTES = 16 * 2**20
 
@@ -39,6 +42,7 @@ class Header:
     tasks: tuple[str, ...]
     domains: tuple[DomainSpec, ...]
     provenance: dict[str, Any]
+    version: str = FORMAT_VERSION
 
     def digest(self) -> str:
         """Sha256 of the header's JSON."""
@@ -47,17 +51,15 @@ class Header:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def array_dtypes(spec: DomainSpec) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
-    """Shape of one row and dtype of a domain's arrays with one row a step, by path below the domain."""
-    arrays: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {"actions": ((spec.action_size,), np.float32)}
-    for key in spec.observation:
-        arrays[f"obs/{key.name}"] = key.shape, np.uint8 if key.kind == "image" else np.float32
-    return arrays
+def episode_columns(version: str) -> dict[str, type[np.generic]]:
+    """Dtypes of the arrays below ``episodes``; format 1.0 does not know what was seen last."""
+    return {name: dtype for name, dtype in EPISODE_COLUMNS.items() if (version, name) != ("1.0", "last")}
 
 
-def array_paths(spec: DomainSpec) -> list[str]:
+def array_paths(spec: DomainSpec, version: str) -> list[str]:
     """Absolute paths of all arrays of a domain."""
-    below = [*array_dtypes(spec), *(f"episodes/{name}" for name in EPISODE_COLUMNS)]
+    keys = (f"obs/{key.name}" for key in spec.observation)
+    below = ["actions", *keys, *(f"episodes/{name}" for name in episode_columns(version))]
     return [f"/domains/{spec.name}/{name}" for name in below]
 
 
@@ -146,9 +148,9 @@ def check_identity(file: h5py.File, path: Path) -> None:
     found = {name: file.attrs.get(name) for name in ("format", "format_version", "complete")}
     if not isinstance(found["format"], str) or found["format"] != FORMAT:
         _fail(path, f"format {found['format']!r}", f"{FORMAT!r}", "convert it with 'plp data import'")
-    if found["format_version"] != FORMAT_VERSION:
+    if found["format_version"] not in READABLE:
         found_version = f"format version {found['format_version']!r}"
-        _fail(path, found_version, f"{FORMAT_VERSION!r}", "update plp or convert the file")
+        _fail(path, found_version, " or ".join(map(repr, READABLE)), "update plp or convert the file")
     if found["complete"] is None or not bool(found["complete"]):
         _fail(path, "a file whose writing was never finished", "a complete one")
 
@@ -162,11 +164,11 @@ def read_header(file: h5py.File, path: Path) -> Header:
     tasks = tuple(name.decode() for name in _array(file, "/tasks/name", path)[()])
     check_tasks(tasks, str(path))
     domains = tuple(_read_spec(file, name, path) for name in json.loads(file.attrs["domains"]))
-    header = Header(tasks, domains, dict(json.loads(file.attrs["provenance"])))
+    header = Header(tasks, domains, dict(json.loads(file.attrs["provenance"])), file.attrs["format_version"])
     if read_hashes(file).get(HEADER) != header.digest():
         _fail(path, "tasks, domains or provenance that do not match their hash", "what the writer stored")
     for spec in domains:
-        _check_arrays(file, spec, path)
+        _check_arrays(file, spec, header.version, path)
     return header
 
 
@@ -200,16 +202,29 @@ def _array(file: h5py.File, place: str, path: Path) -> h5py.Dataset:
     return file[place]
 
 
-def _check_arrays(file: h5py.File, spec: DomainSpec, path: Path) -> None:
+def _check_arrays(file: h5py.File, spec: DomainSpec, version: str, path: Path) -> None:
     group = f"/domains/{spec.name}"
     episodes = _array(file, f"{group}/episodes/task_id", path).size
-    for name, dtype in EPISODE_COLUMNS.items():
+    columns = episode_columns(version)
+    for name, dtype in columns.items():
         shape = (episodes + (name == "offset"),)
         _check_array(_array(file, f"{group}/episodes/{name}", path), shape, dtype, path)
     _check_table(file, group, path)
     steps = int(file[f"{group}/episodes/offset"][-1])
-    for name, (row, dtype) in array_dtypes(spec).items():
-        _check_array(_array(file, f"{group}/{name}", path), (steps, *row), dtype, path)
+    rows = steps + (_count_last(file[f"{group}/episodes/last"], steps, path) if "last" in columns else 0)
+    _check_array(_array(file, f"{group}/actions", path), (steps, spec.action_size), np.float32, path)
+    for key in spec.observation:
+        dtype = np.uint8 if key.kind == "image" else np.float32
+        _check_array(_array(file, f"{group}/obs/{key.name}", path), (rows, *key.shape), dtype, path)
+
+
+def _count_last(array: h5py.Dataset, steps: int, path: Path) -> int:
+    """Number of last observations that a domain knows; they lie behind those of its steps."""
+    last: np.ndarray = array[()]
+    known = last[last != -1]
+    if (known != steps + np.arange(len(known))).any():
+        _fail(path, f"{array.name} {known[:4].tolist()}…", f"-1, or {steps} and the rows after it in turn")
+    return len(known)
 
 
 def _check_array(array: h5py.Dataset, shape: tuple[int, ...], dtype: type[np.generic], path: Path) -> None:

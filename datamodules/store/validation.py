@@ -72,27 +72,29 @@ def _missing_tasks(file: TrajectoryFile) -> Iterator[Finding]:
 def _values(spec: DomainSpec, arrays: DomainArrays) -> Iterator[Finding]:
     for key in spec.state_keys:
         values = arrays.state[:, spec.columns([key.name])]
-        yield from _not_finite(f"{spec.name}, {key.name}", values, arrays.offset)
+        yield from _not_finite(f"{spec.name}, {key.name}", values, arrays)
         constant = np.flatnonzero((values == values[:1]).all(axis=0))
         if len(values) > 1 and len(constant):
             message = f"columns {constant.tolist()} never change: they cannot be normalised by their spread"
             yield Finding("warning", f"{spec.name}, {key.name}", message)
-    yield from _not_finite(f"{spec.name}, actions", arrays.actions, arrays.offset)
+    yield from _not_finite(f"{spec.name}, actions", arrays.actions, arrays)
     outside = np.flatnonzero((np.abs(arrays.actions) > 1).any(axis=1))
     if len(outside):
-        message = f"{len(outside)} steps outside [-1, 1], first in {_step(outside[0], arrays.offset)}"
+        message = f"{len(outside)} steps outside [-1, 1], first in {_step(outside[0], arrays)}"
         yield Finding("error", f"{spec.name}, actions", message)
 
 
-def _not_finite(place: str, values: np.ndarray, offset: np.ndarray) -> Iterator[Finding]:
+def _not_finite(place: str, values: np.ndarray, arrays: DomainArrays) -> Iterator[Finding]:
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
-        yield Finding("error", place, f"{len(bad)} steps are not finite, first in {_step(bad[0], offset)}")
+        yield Finding("error", place, f"{len(bad)} steps are not finite, first in {_step(bad[0], arrays)}")
 
 
-def _step(row: int, offset: np.ndarray) -> str:
-    episode = int(np.searchsorted(offset, row, side="right")) - 1
-    return f"episode {episode}, step {row - offset[episode]}"
+def _step(row: int, arrays: DomainArrays) -> str:
+    if row >= arrays.offset[-1]:
+        return f"episode {np.flatnonzero(arrays.last == row)[0]}, after its last step"
+    episode = int(np.searchsorted(arrays.offset, row, side="right")) - 1
+    return f"episode {episode}, step {row - arrays.offset[episode]}"
 
 
 def _seeds(file: TrajectoryFile, domain: str) -> Iterator[Finding]:
@@ -108,6 +110,10 @@ def _pair(file: TrajectoryFile, domain: str, task: str, arrays: DomainArrays) ->
     lengths = np.diff(arrays.offset)[episodes]
     summary = f"{len(episodes)} demonstrations of {lengths.min()} to {lengths.max()} steps"
     yield Finding("info", place, summary)
+    unknown = int((arrays.last[episodes] < 0).sum())
+    if unknown:
+        message = "end without a last observation: phases that look a step ahead leave their last steps out"
+        yield Finding("info", place, f"{unknown} of {len(episodes)} demonstrations {message}")
     failed = int((~file.episodes(domain).success[episodes]).sum())
     if failed:
         yield Finding("warning", place, f"{failed} of {len(episodes)} demonstrations did not succeed")

@@ -72,8 +72,8 @@ def add_trajectories(
 ) -> None:
     """Add demonstrations to a file, or create it: the old file is replaced in one step by one that holds both.
 
-    Demonstrations that the file holds already, value for value, are skipped. Earlier provenance is kept
-    under the key ``earlier``.
+    Demonstrations that the file holds already, value for value, are skipped; one whose last observation the file lacks
+    takes the place of the one there. Earlier provenance is kept under the key ``earlier``.
 
     Args:
         path: The file to grow; missing folders are made.
@@ -121,19 +121,28 @@ def _history(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 def _union(old: list[Episode], new: list[Episode]) -> list[Episode]:
-    known: dict[tuple[str, int], list[Episode]] = {}
-    for episode in old:
-        known.setdefault((episode.task, episode.seed), []).append(episode)
-    return [*old, *(e for e in new if not any(_same(e, other) for other in known.get((e.task, e.seed), [])))]
+    both, known = [*old], dict[tuple[str, int], list[int]]()
+    for number, episode in enumerate(old):
+        known.setdefault((episode.task, episode.seed), []).append(number)
+    for episode in new:
+        twin = next((i for i in known.get((episode.task, episode.seed), []) if _same(episode, old[i])), None)
+        if twin is None:
+            both.append(episode)
+        elif len(episode.state) > len(old[twin].state):
+            both[twin] = episode
+    return both
 
 
 def _same(one: Episode, other: Episode) -> bool:
-    arrays = zip(_values(one), _values(other), strict=True)
+    """Whether both hold the same values, as far as both of them know what was seen last."""
+    rows = min(len(one.state), len(other.state))
+    arrays = zip(_values(one, rows), _values(other, rows), strict=True)
     return one.success == other.success and all(np.array_equal(a, b) for a, b in arrays)
 
 
-def _values(episode: Episode) -> tuple[np.ndarray, ...]:
-    return episode.actions, episode.state, np.asarray(episode.image())
+def _values(episode: Episode, rows: int) -> tuple[np.ndarray, ...]:
+    image = episode.image()
+    return episode.actions, episode.state[:rows], np.array(()) if image is None else image[:rows]
 
 
 def _check_growth(old: TrajectoryFile, domains: Sequence[DomainSpec]) -> None:
@@ -146,8 +155,9 @@ def _check_growth(old: TrajectoryFile, domains: Sequence[DomainSpec]) -> None:
                     f"{old.path}: domain {new.name!r} has {_difference(field, found, expected)}: "
                     "restore the setting or collect into another file"
                 )
+    paths = (array_paths(spec, old.version) for spec in old.domains)
     with open_guarded(old.path) as file:
-        extra = set(check_objects(file, old.path)).difference(["/tasks/name"], *map(array_paths, old.domains))
+        extra = set(check_objects(file, old.path)).difference(["/tasks/name"], *paths)
     if extra:
         raise TrajectoryFileError(f"{old.path}: found {min(extra)}; growing would drop it: collect into another file")
 

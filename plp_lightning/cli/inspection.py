@@ -13,7 +13,7 @@ from rich.table import Table
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.store.reader import TrajectoryFile
-from datamodules.store.schema import FORMAT, FORMAT_VERSION
+from datamodules.store.schema import FORMAT
 from datamodules.store.validation import validate_file
 from datamodules.types import DomainSpec
 
@@ -61,7 +61,7 @@ def summarize(file: TrajectoryFile) -> dict[str, Any]:
     counts = file.counts()
     return {
         "file": str(file.path),
-        "format": f"{FORMAT} {FORMAT_VERSION}",
+        "format": f"{FORMAT} {file.version}",
         "bytes": Path(file.path).stat().st_size,
         "tasks": list(file.tasks),
         "domains": [_domain(file, spec, counts[spec.name]) for spec in file.domains],
@@ -76,6 +76,7 @@ def _domain(file: TrajectoryFile, spec: DomainSpec, counts: dict[str, int]) -> d
         {"min": int(lengths.min()), "mean": float(lengths.mean()), "max": int(lengths.max())} if len(lengths) else None
     )
     totals = {"episodes": len(lengths), "steps": int(table.offset[-1]), "successes": int(table.success.sum())}
+    totals["last_known"] = int((table.last >= 0).sum())
     return {**spec.to_dict(), **totals, "length": span, "counts": counts}
 
 
@@ -90,11 +91,13 @@ def _show(summary: dict[str, Any]) -> None:
 
 
 def _domain_table(summary: dict[str, Any]) -> Table:
-    table = Table("domain", "simulated by", "actions", "Hz", "episodes", "successes", "steps", "length min/mean/max")
+    columns = ("episodes", "successes", "last known", "steps", "length min/mean/max")
+    table = Table("domain", "simulated by", "actions", "Hz", *columns)
     for domain in summary["domains"]:
         length = domain["length"]
         span = f"{length['min']} / {length['mean']:.1f} / {length['max']}" if length else "–"
-        numbers = (domain[name] for name in ("action_size", "control_hz", "episodes", "successes", "steps"))
+        names = ("action_size", "control_hz", "episodes", "successes", "last_known", "steps")
+        numbers = (domain[name] for name in names)
         actions, rate, *totals = (f"{number:g}" if isinstance(number, float) else f"{number}" for number in numbers)
         table.add_row(domain["name"], escape(domain["env"]), actions, rate, *totals, span)
     return table

@@ -19,9 +19,10 @@ from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, P
 from datamodules.store.writer import TrajectoryFile, add_trajectories
 from datamodules.streams import EpisodeStream, episode_generator, episode_seed
 from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.base import Domain
+from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.threads import available_cores
+from plp_lightning.pictures.recorder import Recorder
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.runs.versions import versions
 
@@ -198,7 +199,8 @@ def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Traje
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
     demonstrator = Demonstrator(domain, tasks, seeds, recipe.noise, recipe.random_start_steps)
-    episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.hold_steps)
+    heard = Heard(domain.simulator, demonstrator)
+    episodes = rollout(heard, demonstrator.act, tasks, seeds, recipe.hold_steps)
     solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.random_start_steps))
     return [
         Trajectory(job.domain, job.task, *demonstrator.episode(int(i)), seed=seeds[int(i)], success=True)
@@ -225,6 +227,7 @@ class Demonstrator:
         self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
         self.generators = [episode_generator(seed, EpisodeStream.ACTION_NOISE) for seed in seeds]
         self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
+        self.last: Observation[np.ndarray] | None = None
 
     @cached_property
     def drifts(self) -> np.ndarray:
@@ -249,10 +252,38 @@ class Demonstrator:
         noisy: np.ndarray = np.clip(actions + np.array(shaken, dtype=np.float32), -1, 1)
         return noisy
 
+    def hear(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
+        """Keep what ``episodes (n,)`` show now, at first all of them; what an episode shows at its end stays."""
+        self.last = observation.map(np.copy) if self.last is None else self.last
+        for kept, shown in zip(self.last, observation, strict=True):
+            if kept is not None:
+                kept[episodes] = shown
+
     def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
-        """Observations ``(T, …)`` and actions ``(T, A)`` of one episode."""
+        """Observations ``(T + 1, …)`` and actions ``(T, A)`` of one episode."""
+        assert self.last is not None, "an episode shows something before it is over"
         spots = [(step, np.searchsorted(step[0], index)) for step in self.steps]
         rows = [(obs.take(i), actions[i]) for (ids, obs, actions), i in spots if i < len(ids) and ids[i] == index]
-        states = np.stack([obs.state for obs, _ in rows])
-        images = [obs.image for obs, _ in rows if obs.image is not None]
-        return Observation(states, np.stack(images) if images else None), np.stack([action for _, action in rows])
+        seen = [*(obs for obs, _ in rows), self.last.take(index)]
+        images = [obs.image for obs in seen if obs.image is not None]
+        observation = Observation(np.stack([obs.state for obs in seen]), np.stack(images) if images else None)
+        return observation, np.stack([action for _, action in rows])
+
+
+class Heard(Recorder):
+    """Lets a demonstrator hear what its episodes show after each step, the last one included.
+
+    Args:
+        simulator: Who simulates.
+        demonstrator: Who acts.
+    """
+
+    def __init__(self, simulator: Simulator, demonstrator: Demonstrator) -> None:
+        super().__init__(simulator)
+        self.demonstrator = demonstrator
+
+    def _forget(self) -> None:
+        self.demonstrator.last = None
+
+    def _keep(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
+        self.demonstrator.hear(observation, episodes)

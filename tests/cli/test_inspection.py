@@ -19,14 +19,14 @@ POINT = DomainSpec(
 ANT = DomainSpec("ant", (ObservationKey("q", (1,), unit="rad"),), 1, 12.5)
 
 
-def walk(task: str, seed: int, steps: int) -> Trajectory:
-    state = np.random.default_rng(seed).standard_normal((steps, 4)).astype(np.float32)
+def walk(task: str, seed: int, steps: int, last: bool = False) -> Trajectory:
+    state = np.random.default_rng(seed).standard_normal((steps + last, 4)).astype(np.float32)
     return Trajectory("point", task, Observation(state), np.zeros((steps, 2), np.float32), seed, True)
 
 
 @pytest.fixture
 def path(tmp_path):
-    walks = [walk("east", 0, 3), walk("east", 1, 5), walk("west", 0, 4)]
+    walks = [walk("east", 0, 3), walk("east", 1, 5, last=True), walk("west", 0, 4, last=True)]
     write_trajectories(tmp_path / "x.hdf5", [POINT, ANT], ["west", "east", "up"], walks, {"command": "plp collect"})
     return str(tmp_path / "x.hdf5")
 
@@ -35,11 +35,11 @@ def test_inspect_as_json(path, capsys):
     inspect_file(path, json=True)
     found = json.loads(capsys.readouterr().out)
     point, ant = found["domains"]
-    assert found["format"] == "plp-trajectories 1.0"
+    assert found["format"] == "plp-trajectories 1.1"
     assert found["tasks"] == ["west", "east", "up"]
     assert found["provenance"] == {"command": "plp collect"}
     assert point["length"] == {"min": 3, "mean": 4.0, "max": 5}
-    assert (point["episodes"], point["steps"], point["successes"]) == (3, 12, 3)
+    assert (point["episodes"], point["steps"], point["successes"], point["last_known"]) == (3, 12, 3, 2)
     assert point["counts"] == {"west": 1, "east": 2, "up": 0}
     assert DomainSpec.from_dict(point) == POINT
     assert (ant["episodes"], ant["length"]) == (0, None)
@@ -50,8 +50,8 @@ def test_inspect_as_tables(path, capsys, monkeypatch):
     inspect_file(path)
     lines = capsys.readouterr().out.splitlines()
     rows = [[cell.strip() for cell in line.strip("│ ").split("│")] for line in lines if line.startswith("│")]
-    assert ["point", "[maze]", "2", "50", "3", "3", "12", "3 / 4.0 / 5"] in rows
-    assert ["ant", "", "1", "12.5", "0", "0", "0", "–"] in rows
+    assert ["point", "[maze]", "2", "50", "3", "3", "2", "12", "3 / 4.0 / 5"] in rows
+    assert ["ant", "", "1", "12.5", "0", "0", "0", "0", "–"] in rows
     assert ["point", "vel", "state", "2", "m/s"] in rows
     assert ["east", "2", "0"] in rows
     assert not any(row[0] == "up" for row in rows)
@@ -64,6 +64,7 @@ def test_validate_prints_findings(path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert "warning ant, west: no demonstration here, but in point: it cannot align the two" in lines
     assert "info    point, east: 2 demonstrations of 3 to 5 steps" in lines
+    assert any(line.startswith("info    point, east: 1 of 2 demonstrations end without a last obs") for line in lines)
     assert lines[-1].startswith(f"{path}: fit for training")
 
 

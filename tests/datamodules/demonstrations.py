@@ -15,19 +15,20 @@ SPECS = (ARM, CAMERA)
 WHY = {"command": "plp collect", "seed": 3}
 
 
-def demonstration(spec: DomainSpec, task: str, seed: int, steps: int = 5) -> Trajectory:
-    """A demonstration whose values are a function of its arguments."""
+def demonstration(spec: DomainSpec, task: str, seed: int, steps: int = 5, last: bool = False) -> Trajectory:
+    """A demonstration whose values are a function of its arguments; with ``last``, what was seen last is known."""
     rng = np.random.default_rng([len(spec.name), TASKS.index(task), seed, steps])
-    state = rng.standard_normal((steps, spec.state_size)).astype(np.float32)
-    key = spec.image_key
-    image = None if key is None else rng.integers(0, 256, (steps, *key.shape), dtype=np.uint8)
+    seen, key = steps + last, spec.image_key
+    state = rng.standard_normal((seen, spec.state_size)).astype(np.float32)
+    image = None if key is None else rng.integers(0, 256, (seen, *key.shape), dtype=np.uint8)
     actions = rng.uniform(-1, 1, (steps, spec.action_size)).astype(np.float32)
     return Trajectory(spec.name, task, Observation(state, image), actions, seed, bool(seed % 2))
 
 
 def demonstrations(seeds: int = 2) -> list[Trajectory]:
-    """``seeds`` demonstrations of each task in both domains, of different lengths."""
-    return [demonstration(spec, t, s, 4 + s) for spec in (ARM, CAMERA) for t in TASKS for s in range(seeds)]
+    """``seeds`` demonstrations of each task in both domains, of different lengths; every second ends as seen."""
+    made = [(spec, task, seed) for spec in (ARM, CAMERA) for task in TASKS for seed in range(seeds)]
+    return [demonstration(spec, task, seed, 4 + seed, last=seed % 2 == 1) for spec, task, seed in made]
 
 
 def assert_equal(one: Trajectory, other: Trajectory) -> None:

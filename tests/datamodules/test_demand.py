@@ -39,8 +39,10 @@ def test_whole_pairs_alone_are_full_trajectories_with_their_actions(trajectory_f
                 assert tuple(sequences.action[frame[mask]].flatten().tolist()) in known
 
 
-def test_steps_say_what_follows_them_only_if_asked(trajectory_file: Path) -> None:
+def test_steps_hold_what_is_seen_next_and_their_progress_only_if_asked(trajectory_file: Path) -> None:
     data = tiny.data_module(trajectory_file)
-    for course in (False, True):
-        for batch in data.loader(BatchSpec("mix", course=course)):
-            assert all((steps.course is not None) == course for steps in batch.steps.values())
+    for asked in ({}, {"next_observation": True}, {"progress": True}, {"next_observation": True, "progress": True}):
+        for batch in data.loader(BatchSpec("mix", **asked)):
+            for steps in batch.steps.values():
+                held = {name for name in ("next_observation", "progress") if getattr(steps, name) is not None}
+                assert held == set(asked)

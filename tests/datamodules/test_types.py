@@ -49,7 +49,13 @@ def test_a_spec_survives_json() -> None:
     assert DomainSpec.from_dict(json.loads(json.dumps(ARM.to_dict()))) == ARM
 
 
-@pytest.mark.parametrize(("states", "actions"), [(3, 2), (0, 0)])
+@pytest.mark.parametrize("last", [0, 1])
+def test_a_trajectory_knows_whether_what_was_seen_last_is_there(last: int) -> None:
+    trajectory = Trajectory("arm", "reach", Observation(np.zeros((2 + last, 5))), np.zeros((2, 4)), 0, True)
+    assert (len(trajectory), trajectory.last_known) == (2, last == 1)
+
+
+@pytest.mark.parametrize(("states", "actions"), [(4, 2), (1, 2), (0, 0), (1, 0)])
 def test_a_trajectory_needs_an_observation_for_each_of_its_actions(states: int, actions: int) -> None:
     with pytest.raises(UserError, match=f"task 'reach' in domain 'arm' has {states} observations and {actions} act"):
         Trajectory("arm", "reach", Observation(np.zeros((states, 5))), np.zeros((actions, 4)), 0, True)

@@ -51,7 +51,7 @@ def test_both_domains_are_trained_on_with_the_loss_of_a_full_pass(adapted: tuple
 def test_cached_latents_are_fresh_latents(adapted: tuple[Watched, dict[str, Tensor]], trajectory_file: Path) -> None:
     phase, data = adapted[0], tiny.data_module(trajectory_file)
     for domain, dataset in data.datasets.items():
-        fresh = phase.policy.encode({domain: dataset.observation})[domain]
+        fresh = phase.policy.encode({domain: dataset.observation.take(slice(len(dataset)))})[domain]
         torch.testing.assert_close(phase.latents[domain], fresh)
         assert not phase.latents[domain].requires_grad
 

@@ -95,25 +95,23 @@ def test_positions_are_regressed_to_the_share_that_lies_behind(data: TransferDat
     errors = []
     for domain, role in policy.roles.items():
         steps = batch.steps[domain]
-        assert steps.course is not None
-        for i, progress in enumerate(steps.course.progress.tolist()):
+        assert steps.progress is not None
+        for i, progress in enumerate(steps.progress.tolist()):
             state = policy.perception.scaler(steps.observation.state[i : i + 1], domain)
             errors.append((policy.position(state, steps.task[i : i + 1], role).item() - progress) ** 2)
     assert phase.losses(batch)["position"].item() == pytest.approx(float(np.mean(errors)), rel=1e-4)
 
 
-def test_inverse_dynamics_learn_from_target_steps_that_show_their_result(
+def test_inverse_dynamics_learn_from_target_steps_and_what_is_seen_after_them(
     data: TransferDataModule, policy: CdilPolicy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     phase = CdilDynamics(policy)
     begin(phase, data, monkeypatch)
     batch = first_batch(data, phase.batch_spec)
     steps = batch.steps["tall"]
-    assert steps.course is not None
-    kept = ~steps.course.last
-    assert 0 < kept.sum() < len(kept)
-    now, then = (policy.perception.scaler(x.state, "tall")[kept] for x in (steps.observation, steps.course.following))
-    expected = (policy.infer(now, then) - steps.action[kept]).square().mean()
+    assert steps.next_observation is not None
+    now, then = (policy.perception.scaler(x.state, "tall") for x in (steps.observation, steps.next_observation))
+    expected = (policy.infer(now, then) - steps.action).square().mean()
     torch.testing.assert_close(phase.losses(batch)["inverse_dynamics"], expected)
     assert phase.held_out_losses(Batch({"flat": batch.steps["flat"]}, {})) == {}
 
@@ -221,8 +219,9 @@ def test_the_target_clone_learns_translated_steps_of_the_target_task_and_own_ste
     batch, dataset = first_batch(data, phase.batch_spec), data.datasets["flat"]
     errors = []
     for row, task in zip(*(x.tolist() for x in (batch.steps["flat"].row, batch.steps["flat"].task)), strict=True):
-        if task == policy.tasks[tiny.TARGET] and row != dataset.last_row[row]:
-            pair = policy.translate(policy.perception.scaler(dataset.observation.state[row : row + 2], "flat"))
+        if task == policy.tasks[tiny.TARGET]:
+            seen = dataset.observation.state[[row, int(dataset.next_row[row])]]
+            pair = policy.translate(policy.perception.scaler(seen, "flat"))
             clone = policy.clone(pair[:1], torch.tensor([task]), "target")
             errors.append((clone - policy.infer(pair[:1], pair[1:])).square().mean().item())
     own = batch.steps["tall"]

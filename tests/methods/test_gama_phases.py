@@ -67,8 +67,6 @@ def test_parts_of_alignment_are_the_separate_losses(
     total = phase.training_step(batch, 0)
     policy, judge, steps = phase.policy, phase.discriminator, batch.steps
     source, target, datasets = steps["flat"], steps["tall"], data.datasets
-    assert source.course is not None
-    assert target.course is not None
     errors, real, fake, told, slopes = [], [], [], [], []
     for i in range(len(target.action)):
         state = policy.perception.scaler(target.observation.state[i : i + 1], "tall")
@@ -77,18 +75,15 @@ def test_parts_of_alignment_are_the_separate_losses(
         moved = policy.state_map(state)
         arrived = policy.state_map(policy.dynamics(state, action))
         planned = policy.imitate(moved, target.task[[i]])
-        if not target.course.last[i]:
-            logit = judge(judge.describe(moved, planned, arrived, target.task[[i]]))
-            fake.append(functional.logsigmoid(logit))
-            told.append(functional.logsigmoid(-logit))
+        logit = judge(judge.describe(moved, planned, arrived, target.task[[i]]))
+        fake.append(functional.logsigmoid(logit))
+        told.append(functional.logsigmoid(-logit))
     for i, row in enumerate(source.row.tolist()):
-        if not source.course.last[i]:
-            before, after = (
-                policy.perception.scaler(datasets["flat"].observation.state[[n]], "flat") for n in (row, row + 1)
-            )
-            described = judge.describe(before, source.action[[i]], after, source.task[[i]])
-            real.append(functional.logsigmoid(judge(described)))
-            slopes.append(torch.autograd.functional.jacobian(judge, described).square().sum())
+        rows = (row, int(datasets["flat"].next_row[row]))
+        before, after = (policy.perception.scaler(datasets["flat"].observation.state[[n]], "flat") for n in rows)
+        described = judge.describe(before, source.action[[i]], after, source.task[[i]])
+        real.append(functional.logsigmoid(judge(described)))
+        slopes.append(torch.autograd.functional.jacobian(judge, described).square().sum())
     expected = {
         "bc": torch.stack(errors).mean(),
         "adversarial": -torch.cat(fake).mean(),

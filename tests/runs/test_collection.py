@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import seen
 import tiny
 
 from datamodules.errors import UserError
@@ -15,8 +16,8 @@ from datamodules.store.writer import TrajectoryFile, write_trajectories
 from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.callbacks.preemption import PreemptedError
-from plp_lightning.envs.base import Domain, Expert, Simulator
-from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
+from plp_lightning.envs.base import Domain, Expert, Simulator, Step
+from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import CollectionConfig, ExpertCollector, Job, demonstrate
 from plp_lightning.runs.progress import JobProgress
@@ -202,7 +203,7 @@ def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
     executed = np.stack(simulator.executed)
     np.testing.assert_array_equal(again.actions, shaken.actions)
     expert.begin(simulator, ["goal_1"], [shaken.seed])
-    for state, action in zip(shaken.observation.state, shaken.actions, strict=True):
+    for state, action in zip(shaken.observation.state[:-1], shaken.actions, strict=True):
         asked = expert.act(Observation(state[None]), np.array([0]))[0]
         np.testing.assert_allclose(action, asked, atol=1e-6)
     assert executed.shape == shaken.actions.shape
@@ -230,10 +231,43 @@ def test_experts_take_over_where_they_were_driven_to() -> None:
 def test_without_noise_the_recorded_actions_lead_through_the_recorded_states() -> None:
     simulator = LinearPoint(1, 3)
     for trajectory in made(LinearPointExpert(), job(2), CollectionConfig(noise=0.0)):
-        state = simulator.reset(["goal_1"], [trajectory.seed]).state
-        for seen, action in zip(trajectory.observation.state, trajectory.actions, strict=True):
-            np.testing.assert_array_equal(seen, state[0])
-            state = simulator.step(action[None], np.array([0])).observation.state
+        states = [simulator.reset(["goal_1"], [trajectory.seed]).state[0]]
+        for action in trajectory.actions:
+            states.append(simulator.step(action[None], np.array([0])).observation.state[0])
+        np.testing.assert_array_equal(trajectory.observation.state, np.stack(states))
+
+
+@pytest.mark.parametrize(("noise", "random_start_steps"), [(0.0, 0), (0.2, 0), (0.2, 3)])
+def test_what_was_seen_after_the_last_action_is_kept_whenever_an_episode_ends(
+    noise: float, random_start_steps: int
+) -> None:
+    class Watched(LinearPoint):
+        """Keeps the newest state of each episode."""
+
+        def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+            step = super().step(actions, episodes)
+            newest.update(zip(episodes.tolist(), step.observation.state, strict=True))
+            return step
+
+    newest: dict[int, np.ndarray] = {}
+    recipe = CollectionConfig(noise=noise, random_start_steps=random_start_steps, hold_steps=2)
+    found = made(LinearPointExpert(), job(6), recipe, Watched(1, 3))
+    assert len({len(trajectory) for trajectory in found}) > 1
+    ends = {tuple(state.tolist()) for state in newest.values()}
+    for trajectory in found:
+        assert trajectory.last_known
+        assert tuple(trajectory.observation.state[-1].tolist()) in ends
+
+
+def test_the_last_image_is_kept_with_the_last_state() -> None:
+    simulator = SeenPoint(1, state_size=3, image_size=9)
+    for trajectory in [t for t in seen.demonstrations(2) if t.domain == "left"]:
+        simulator.reset([trajectory.task], [trajectory.seed])
+        last = [simulator.step(action[None], np.array([0])).observation for action in trajectory.actions][-1]
+        assert trajectory.observation.image is not None
+        assert last.image is not None
+        np.testing.assert_array_equal(trajectory.observation.state[-1], last.state[0])
+        np.testing.assert_array_equal(trajectory.observation.image[-1], last.image[0])
 
 
 @pytest.mark.parametrize("hold_steps", [0, 4])

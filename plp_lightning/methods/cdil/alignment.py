@@ -22,7 +22,7 @@ from plp_lightning.methods.cdil.networks import OTHER, Role, TaskNetwork
 from plp_lightning.methods.cdil.phases import CdilPhase
 from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, LinearDecay, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
+from plp_lightning.methods.translation.cached_features import CachedFeatures
 from plp_lightning.networks import with_frozen_parameters
 
 
@@ -35,8 +35,6 @@ class StatePairs(NamedTuple):
     """``(B,)``."""
     shared: Tensor
     """``(B,)``: 1 where both domains have demonstrations of the task, 0 else."""
-    moves: Tensor
-    """``(B,)``: the same, and 0 where no state follows either."""
 
 
 class RoundTrip(NamedTuple):
@@ -95,7 +93,7 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
             other.
     """
 
-    batch_spec = BatchSpec("all", images=False, course=True)
+    batch_spec = BatchSpec("all", images=False, next_observation=True)
     parts_trained = ("translator", "pace")
     shared: Tensor
 
@@ -151,9 +149,8 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         return steps, {role: self._round_trip(found.states, role) for role, found in steps.items()}
 
     def _steps_of(self, steps: Steps, domain: str) -> StatePairs:
-        shared = self.shared[steps.task]
-        states = torch.stack(self.before_and_after(domain, steps))
-        return StatePairs(states, steps.task, shared, shared * ~course_of(steps).last)
+        states = torch.stack(self.before_and_after(domain, steps.row))
+        return StatePairs(states, steps.task, self.shared[steps.task])
 
     def _round_trip(self, states: Tensor, role: Role) -> RoundTrip:
         there = self.policy.translator(states, role)
@@ -187,10 +184,10 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
             made_judged = judge(self._blur(made.detach()), own.task)[:, 0]
             yield {
                 "adversarial": translation_generator_loss(
-                    with_frozen_parameters(judge)(self._blur(made), own.task)[:, 0], own.moves
+                    with_frozen_parameters(judge)(self._blur(made), own.task)[:, 0], own.shared
                 ),
-                "discriminator": translation_discriminator_loss(real_judged, made_judged, real.moves, own.moves),
-                "penalty": r1_penalty(real_judged, found, real.moves),
+                "discriminator": translation_discriminator_loss(real_judged, made_judged, real.shared, own.shared),
+                "penalty": r1_penalty(real_judged, found, real.shared),
             }
 
     def _blur(self, pairs: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from plp_lightning.methods.cdil.networks import Role
 from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
+from plp_lightning.methods.translation.cached_features import CachedFeatures
 from plp_lightning.methods.translation.perception import PointReconstruction
 
 
@@ -76,7 +76,7 @@ class CdilPositions(CdilPhase):
         lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
-    batch_spec = BatchSpec(course=True)
+    batch_spec = BatchSpec(progress=True)
     parts_trained = ("positions", "perception")
 
     def __init__(
@@ -104,7 +104,8 @@ class CdilPositions(CdilPhase):
 
     def _errors(self, steps: Steps, state: Tensor, domain: str) -> Tensor:
         position = self.policy.position(state, steps.task, self.policy.roles[domain])
-        return (position - course_of(steps).progress).square()
+        assert steps.progress is not None, "batch_spec asks for it"
+        return (position - steps.progress).square()
 
 
 class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
@@ -119,7 +120,7 @@ class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
         lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
-    batch_spec = BatchSpec(images=False, course=True)
+    batch_spec = BatchSpec(images=False, next_observation=True)
     parts_trained = ("inverse_dynamics",)
 
     def __init__(
@@ -132,11 +133,10 @@ class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
         super().__init__(policy, epochs, optimizer, lr_scheduler)
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """Squared error of the target's actions; the last step of a trajectory shows no result of its action."""
+        """Squared error of the target's actions, mean over their dimensions and steps."""
         steps = batch.steps[self.policy.target]
-        inferred = self.policy.infer(*self.before_and_after(self.policy.target, steps))
-        error = (inferred - steps.action).square().mean(-1)
-        return {"inverse_dynamics": weighted_mean(error, (~course_of(steps).last).float())}
+        inferred = self.policy.infer(*self.before_and_after(self.policy.target, steps.row))
+        return {"inverse_dynamics": functional.mse_loss(inferred, steps.action)}
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
         """The same, where there are steps of the target domain."""
@@ -144,14 +144,14 @@ class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
 
 
 class Imagined(NamedTuple):
-    """What the source's trajectories would be in the target domain."""
+    """What the source's N steps would be in the target domain."""
 
     state: Tensor
     """Target states ``(N, O_y)``."""
     action: Tensor
-    """``(N, A_y)``, as the inverse dynamics tell them."""
+    """``(N, A_y)``, as the inverse dynamics tell them; arbitrary where nobody knows what was seen next."""
     weight: Tensor
-    """``(N,)``: 1 for steps of the target task that another step follows, 0 for all others."""
+    """``(N,)``: 1 for steps of the target task, 0 for all others."""
 
 
 class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
@@ -169,7 +169,7 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
-    batch_spec = BatchSpec("mix", images=False)
+    batch_spec = BatchSpec("mix", images=False, next_observation=True)
     policy_acts = True
     parts_trained = ("clones",)
 
@@ -196,12 +196,11 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
     @torch.no_grad()
     def _imagine(self) -> Imagined:
         data, policy = self.trainer.datamodule, self.policy  # type: ignore[attr-defined]
-        dataset = data.datasets[policy.source].without_images()
-        steps = dataset.take(torch.arange(len(dataset)), course=True)
-        now, following = (policy.translate(state) for state in self.before_and_after(policy.source, steps))
-        wanted = torch.isin(steps.task, torch.tensor([policy.tasks[task] for task in data.target_tasks]))
-        weight = (wanted & ~course_of(steps).last).float().to(self.device)
-        return Imagined(now, policy.infer(now, following), weight)
+        task = data.datasets[policy.source].task
+        rows = torch.arange(len(task), device=self.device)
+        now, following = (policy.translate(state) for state in self.before_and_after(policy.source, rows))
+        wanted = torch.isin(task, torch.tensor([policy.tasks[name] for name in data.target_tasks]))
+        return Imagined(now, policy.infer(now, following), wanted.float().to(self.device))
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """Squared errors of the clones' actions, mean over action dimensions and steps."""

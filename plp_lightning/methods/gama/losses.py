@@ -1,7 +1,6 @@
 """Losses of GAMA: a dynamics model, and transitions that shall pass for those of another domain.
 
-See "Domain Adaptive Imitation Learning" (https://arxiv.org/abs/1910.00105), Section 5. All leave out last steps, after
-which nothing was seen.
+See "Domain Adaptive Imitation Learning" (https://arxiv.org/abs/1910.00105), Section 5.
 """
 
 from __future__ import annotations
@@ -10,10 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from plp_lightning.losses.weighted_mean import weighted_mean
 
-
-def normalised_prediction_error(prediction: Tensor, state: Tensor, following: Tensor, last: Tensor) -> Tensor:
+def normalised_prediction_error(prediction: Tensor, state: Tensor, following: Tensor) -> Tensor:
     r"""Squared error of the predicted next state, for each column as a share of what there was to predict.
 
     .. math:: \frac{1}{S} \sum_i \frac{\sum_b (\hat{s}'_{bi} - s'_{bi})^2}{\sum_b (s'_{bi} - s_{bi})^2}
@@ -24,24 +21,22 @@ def normalised_prediction_error(prediction: Tensor, state: Tensor, following: Te
         prediction: ``(B, S)``.
         state: ``(B, S)``, before the step.
         following: ``(B, S)``, after it.
-        last: Bool ``(B,)``: nothing is known of what came after.
 
     Returns:
         Scalar: 1 for the prediction that nothing changes, 0 for a perfect one.
 
     Example:
         >>> nothing, moved = torch.zeros(1, 2), torch.tensor([[1.0, 100.0]])
-        >>> normalised_prediction_error(moved * 0.5, nothing, moved, torch.tensor([False]))
+        >>> normalised_prediction_error(moved * 0.5, nothing, moved)
         tensor(0.2500)
     """
     assert prediction.shape == state.shape == following.shape, f"{prediction.shape}, {state.shape}, {following.shape}"
-    counts = (~last).unsqueeze(1)
-    error = ((prediction - following).square() * counts).sum(dim=0)
-    change = ((following - state).square() * counts).sum(dim=0)
+    error = (prediction - following).square().sum(dim=0)
+    change = (following - state).square().sum(dim=0)
     return (error / change.clamp(min=torch.finfo(change.dtype).tiny ** 0.5)).mean()
 
 
-def transition_discriminator_loss(real: Tensor, fake: Tensor, real_last: Tensor, fake_last: Tensor) -> Tensor:
+def transition_discriminator_loss(real: Tensor, fake: Tensor) -> Tensor:
     r"""The discriminator's loss: binary cross-entropy of real transitions as 1 and translated ones as 0.
 
     .. math:: \mathbb{E}_{real}[-\log D] + \mathbb{E}_{fake}[-\log(1 - D)]
@@ -49,32 +44,28 @@ def transition_discriminator_loss(real: Tensor, fake: Tensor, real_last: Tensor,
     Args:
         real: Logits ``(B_x,)`` of source transitions.
         fake: Logits ``(B_y,)`` of translated ones, from inputs without a gradient.
-        real_last: Bool ``(B_x,)``: no transition.
-        fake_last: Bool ``(B_y,)``.
 
     Returns:
         Scalar.
 
     Example:
-        >>> none = torch.zeros(3).bool()
-        >>> transition_discriminator_loss(torch.zeros(3), torch.zeros(3), none, none)  # 2 log 2: it can't tell
+        >>> transition_discriminator_loss(torch.zeros(3), torch.zeros(3))  # 2 log 2: it can't tell
         tensor(1.3863)
     """
-    return weighted_mean(functional.softplus(-real), ~real_last) + weighted_mean(functional.softplus(fake), ~fake_last)
+    return functional.softplus(-real).mean() + functional.softplus(fake).mean()
 
 
-def transition_generator_loss(fake: Tensor, last: Tensor) -> Tensor:
+def transition_generator_loss(fake: Tensor) -> Tensor:
     r"""The translators' loss: :math:`\mathbb{E}_{fake}[-\log D]`, small if translated transitions pass for real ones.
 
     Args:
         fake: Logits ``(B_y,)`` of translated transitions, by a discriminator whose parameters are held fixed.
-        last: Bool ``(B_y,)``: no transition.
 
     Returns:
         Scalar.
 
     Example:
-        >>> transition_generator_loss(torch.tensor([9.0, -9.0]), torch.tensor([False, True]))
+        >>> transition_generator_loss(torch.tensor([9.0, 9.0]))
         tensor(0.0001)
     """
-    return weighted_mean(functional.softplus(-fake), ~last)
+    return functional.softplus(-fake).mean()

@@ -21,7 +21,7 @@ from plp_lightning.methods.gama.networks import TransitionDiscriminator
 from plp_lightning.methods.gama.policy import GamaPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.translation.cached_features import CachedFeatures, course_of
+from plp_lightning.methods.translation.cached_features import CachedFeatures
 from plp_lightning.methods.translation.perception import PointReconstruction
 from plp_lightning.networks import with_frozen_parameters
 
@@ -41,7 +41,7 @@ class GamaPretraining(Phase[GamaPolicy]):
     """
 
     trains = GamaPolicy
-    batch_spec = BatchSpec(course=True)
+    batch_spec = BatchSpec(next_observation=True)
     policy_acts = False
 
     def __init__(
@@ -86,11 +86,10 @@ class GamaPretraining(Phase[GamaPolicy]):
             parts["bc"] = behavioural_cloning({policy.source: action}, {policy.source: taken.action})
         if policy.target in steps:
             taken, seen = steps[policy.target], state[policy.target]
-            course = course_of(taken)
+            assert taken.next_observation is not None, "batch_spec asks for it"
             with torch.no_grad():
-                following = policy.features(policy.target, course.following)
-            foreseen = policy.dynamics(seen, taken.action)
-            parts["dynamics"] = normalised_prediction_error(foreseen, seen, following, course.last)
+                following = policy.features(policy.target, taken.next_observation)
+            parts["dynamics"] = normalised_prediction_error(policy.dynamics(seen, taken.action), seen, following)
         return parts
 
 
@@ -125,7 +124,7 @@ class GamaAlignment(GamaPhase):
         lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
     """
 
-    batch_spec = BatchSpec(images=False, course=True)
+    batch_spec = BatchSpec(images=False, next_observation=True)
 
     def __init__(
         self,
@@ -173,8 +172,8 @@ class GamaAlignment(GamaPhase):
         policy, judge = self.policy, self.discriminator
         here, there = batch.steps[policy.source], batch.steps[policy.target]
         (real_state, real_next), (state, following) = (
-            self.before_and_after(policy.source, here),
-            self.before_and_after(policy.target, there),
+            self.before_and_after(policy.source, here.row),
+            self.before_and_after(policy.target, there.row),
         )
         moved = policy.state_map(state)
         planned = policy.imitate(moved, there.task)
@@ -182,13 +181,13 @@ class GamaAlignment(GamaPhase):
         arrived = policy.state_map(with_frozen_parameters(policy.dynamics)(state, action))
         real = judge.describe(real_state, here.action, real_next, here.task).requires_grad_()
         fake = judge.describe(moved, planned, arrived, there.task)
-        judged, last, real_last = judge(real), course_of(there).last, course_of(here).last
+        judged = judge(real)
         parts = {
             "bc": behavioural_cloning({policy.target: action}, {policy.target: there.action}),
-            "adversarial": transition_generator_loss(with_frozen_parameters(judge)(fake), last),
-            "discriminator": transition_discriminator_loss(judged, judge(fake.detach()), real_last, last),
-            "penalty": r1_penalty(judged, real, ~real_last),
-            "dynamics": normalised_prediction_error(policy.dynamics(state, there.action), state, following, last),
+            "adversarial": transition_generator_loss(with_frozen_parameters(judge)(fake)),
+            "discriminator": transition_discriminator_loss(judged, judge(fake.detach())),
+            "penalty": r1_penalty(judged, real, torch.ones_like(judged)),
+            "dynamics": normalised_prediction_error(policy.dynamics(state, there.action), state, following),
         }
         if self.logs_now:
             self.log_parts(parts, len(state) + len(real_state))

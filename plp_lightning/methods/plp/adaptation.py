@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor, nn
 
+from datamodules.batches.dataset import DomainDataset
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Observation, Steps
 from plp_lightning.losses import behavioural_cloning
@@ -64,9 +65,12 @@ class Adaptation(Phase[PortablePolicy]):
     @torch.no_grad()
     def _encode_all(self) -> None:
         for domain, dataset in self.trainer.datamodule.datasets.items():  # type: ignore[attr-defined]
-            chunks = torch.arange(len(dataset)).split(dataset.rows_at_a_time(8192))
-            parts = [self._encode(domain, dataset.take(rows).observation) for rows in chunks]
+            chunks = torch.arange(self._rows_to_encode(dataset)).split(dataset.rows_at_a_time(8192))
+            parts = [self._encode(domain, dataset.observation.take(rows)) for rows in chunks]
             self.latents[domain] = torch.cat(parts)
+
+    def _rows_to_encode(self, dataset: DomainDataset) -> int:
+        return len(dataset)
 
     def _encode(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         return self.policy.encode({domain: observation.map(lambda x: x.to(self.device))})[domain]

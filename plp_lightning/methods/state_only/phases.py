@@ -9,6 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from datamodules.batches.dataset import DomainDataset
 from datamodules.errors import ConfigError
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
@@ -56,7 +57,7 @@ class StateOnlyAlignment(Alignment):
     ) -> None:
         super().__init__(policy, terms, epochs=epochs, optimizer=optimizer, lr_scheduler=lr_scheduler)
         _check_decoder(policy)
-        self.batch_spec = replace(self.batch_spec, course=True)
+        self.batch_spec = replace(self.batch_spec, next_observation=True)
         self.next_reduction, self.target = next_reduction, policy.problem.target_domain
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
@@ -70,18 +71,16 @@ class StateOnlyAlignment(Alignment):
 
     def imitation_losses(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """L_next, and where there are steps of the target domain L_IDM."""
-        last, following = {}, {}
-        for domain, s in steps.items():
-            assert s.course is not None, "the phase demands it"
-            last[domain], following[domain] = s.course.last, s.course.following
+        following = {domain: s.next_observation for domain, s in steps.items() if s.next_observation is not None}
+        assert following.keys() == steps.keys(), "batch_spec asks for it"
         with torch.no_grad():
             after = self.policy.encode(following)
         latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
-        parts = {"next": one_step(latent_action, after, last, self.next_reduction)}
+        parts = {"next": one_step(latent_action, after, self.next_reduction)}
         here = {domain: s for domain, s in steps.items() if domain == self.target}
         if here:
             action = self.policy.decode({d: after[d] for d in here}, {d: s.observation for d, s in here.items()})
-            parts["inverse"] = one_step(action, {d: s.action for d, s in here.items()}, {d: last[d] for d in here})
+            parts["inverse"] = one_step(action, {d: s.action for d, s in here.items()})
         return parts
 
 
@@ -101,6 +100,8 @@ class StateOnlyAdaptation(Adaptation):
 
     trains = StateOnlyPolicy
     monitor = "val/next"
+    next_row: dict[str, Tensor]
+    """Row of the next latent state of each step, by domain."""
 
     def __init__(
         self,
@@ -111,8 +112,17 @@ class StateOnlyAdaptation(Adaptation):
         next_reduction: Reduction = "mean",
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
-        self.batch_spec = BatchSpec("mix", images=False, course=True)
+        self.batch_spec = BatchSpec("mix", images=False, next_observation=True)
         self.next_reduction = next_reduction
+
+    def _encode_all(self) -> None:
+        super()._encode_all()
+        datasets = self.trainer.datamodule.datasets  # type: ignore[attr-defined]
+        self.next_row = {domain: dataset.next_row.to(self.device) for domain, dataset in datasets.items()}
+
+    def _rows_to_encode(self, dataset: DomainDataset) -> int:
+        """Last observations too, which follow steps."""
+        return len(dataset.observation)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """L_next on the target task and the mixed-in alignment data."""
@@ -128,13 +138,10 @@ class StateOnlyAdaptation(Adaptation):
 
     def _foresight(self, steps: Mapping[str, Steps]) -> Tensor:
         """L_next, from latent states that are known already."""
-        last, latent, after = {}, {}, {}
-        for domain, s in steps.items():
-            assert s.course is not None, "the phase demands it"
-            last[domain], latent[domain] = s.course.last, self.latents[domain][s.row]
-            after[domain] = self.latents[domain][s.row + ~s.course.last]
+        latent = {domain: self.latents[domain][s.row] for domain, s in steps.items()}
+        after = {domain: self.latents[domain][self.next_row[domain][s.row]] for domain, s in steps.items()}
         latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
-        return one_step(latent_action, after, last, self.next_reduction)
+        return one_step(latent_action, after, self.next_reduction)
 
 
 def _check_decoder(policy: StateOnlyPolicy) -> None:

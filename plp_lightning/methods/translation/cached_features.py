@@ -7,7 +7,6 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from datamodules.types import Course, Steps
 from plp_lightning.methods.optimization import OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.translation.policy import TranslatingPolicy
@@ -32,9 +31,10 @@ class CachedFeatures(Phase[T]):
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.states: dict[str, Tensor] = {}
+        self.next_row: dict[str, Tensor] = {}
 
     def on_fit_start(self) -> None:
-        """Perceive every step of both domains."""
+        """Perceive all observations of both domains."""
         self._cache_all()
 
     def on_validation_start(self) -> None:
@@ -42,28 +42,23 @@ class CachedFeatures(Phase[T]):
         if not self.states:
             self._cache_all()
 
-    def before_and_after(self, domain: str, steps: Steps) -> tuple[Tensor, Tensor]:
-        """States ``(B, S_d)`` before and after the steps; after a trajectory's last step the same again."""
+    def before_and_after(self, domain: str, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """States ``(B, S_d)`` before and after the steps at ``rows (B,)``, all of which have a next observation."""
         states = self.states[domain]
-        return states[steps.row], states[steps.row + ~course_of(steps).last]
+        return states[rows], states[self.next_row[domain][rows]]
 
     def usual_change(self, domain: str) -> Tensor:
         """Root mean square ``(S_d,)`` of what a training step of the proxy tasks changes; 1 for columns that rest."""
         data = self.trainer.datamodule  # type: ignore[attr-defined]
-        rows = torch.from_numpy(data.rows(data.proxy_tasks, "train")[domain])
-        before, after = self.before_and_after(domain, data.datasets[domain].without_images().take(rows, course=True))
+        rows = data.rows(data.proxy_tasks, "train", next_observation=True)[domain]
+        before, after = self.before_and_after(domain, torch.from_numpy(rows).to(self.device))
         change = (after - before).square().mean(0).sqrt()
         return change.where(change > NO_CHANGE, 1)
 
     @torch.no_grad()
     def _cache_all(self) -> None:
         for domain, dataset in self.trainer.datamodule.datasets.items():  # type: ignore[attr-defined]
-            chunks = torch.arange(len(dataset)).split(dataset.rows_at_a_time(ROWS_AT_A_TIME))
-            seen = (dataset.take(rows).observation.map(lambda x: x.to(self.device)) for rows in chunks)
+            chunks = torch.arange(len(dataset.observation)).split(dataset.rows_at_a_time(ROWS_AT_A_TIME))
+            seen = (dataset.observation.take(rows).map(lambda x: x.to(self.device)) for rows in chunks)
             self.states[domain] = torch.cat([self.policy.features(domain, observation) for observation in seen])
-
-
-def course_of(steps: Steps) -> Course:
-    """Where the steps stand in their trajectories, which the phase's demand has to ask for."""
-    assert steps.course is not None, "the phase's demand asks for no course"
-    return steps.course
+            self.next_row[domain] = dataset.next_row.to(self.device)

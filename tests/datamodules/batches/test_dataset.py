@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import tiny
 import torch
 
@@ -36,7 +37,7 @@ def test_trajectories_are_found_by_task() -> None:
 
 def test_tensors_share_the_memory_of_the_arrays() -> None:
     state, image = np.zeros((4, 3), dtype=np.float32), torch.zeros(4, 2, 2, 3, dtype=torch.uint8)
-    arrays = np.zeros((4, 2), np.float32), np.array([0, 4]), np.array([0]), np.array([7])
+    arrays = np.zeros((4, 2), np.float32), np.array([0, 4]), np.array([0]), np.array([7]), np.array([-1])
     dataset = build_dataset(SPEC, state, image, *arrays)
     state[1, 2], image[3, 0, 0, 0] = 8, 9
     taken = dataset.take(torch.tensor([1, 3])).observation
@@ -45,16 +46,38 @@ def test_tensors_share_the_memory_of_the_arrays() -> None:
     assert taken.image[1, 0, 0, 0] == 9
 
 
-def test_course_tells_what_follows_and_how_far_a_step_is() -> None:
-    dataset = tiny.dataset(tiny.spec("flat", 3, 2), [4, 1, 3], [0, 0, 1])
+MIXED = tiny.dataset(SPEC, [4, 1, 3], [0, 0, 1], known=[0, 2])
+
+
+def test_next_rows_lead_to_the_next_step_or_to_what_was_seen_last_or_nowhere() -> None:
+    assert MIXED.next_row.tolist() == [1, 2, 3, 8, -1, 6, 7, 9]
+    assert (len(MIXED), len(MIXED.observation), len(MIXED.action)) == (8, 10, 8)
+    assert tiny.dataset(SPEC, [2, 1], [0, 0]).next_row.tolist() == [1, -1, -1]
+
+
+def test_what_is_seen_next_is_told_if_asked_for() -> None:
+    rows = torch.tensor([6, 3, 0, 1, 7, 5])
+    plain, told = MIXED.take(rows), MIXED.take(rows, next_observation=True)
+    assert plain.next_observation is None
+    assert told.next_observation is not None
+    assert told.next_observation.state[:, 0].tolist() == [7, 8, 1, 2, 9, 6]
+    assert torch.equal(told.observation.state, plain.observation.state)
+    assert told.row.tolist() == rows.tolist()
+
+
+def test_steps_of_which_nobody_knows_what_is_seen_next_are_not_taken_for_it() -> None:
+    assert MIXED.take(torch.tensor([3, 4])).row.tolist() == [3, 4]
+    with pytest.raises(AssertionError, match="what is seen next is known of every step"):
+        MIXED.take(torch.tensor([3, 4]), next_observation=True)
+
+
+def test_progress_is_the_share_that_lies_behind_whether_the_last_observation_is_known_or_not() -> None:
     rows = torch.tensor([6, 3, 0, 4, 1, 7, 5])
-    plain, told = dataset.take(rows), dataset.take(rows, course=True)
-    assert plain.course is None
-    course = told.course
-    assert course is not None
-    assert course.following.state[:, 0].tolist() == [7, 3, 1, 4, 2, 7, 6]
-    assert course.last.tolist() == [False, True, False, True, False, True, False]
-    torch.testing.assert_close(course.progress, torch.tensor([1 / 2, 1, 0, 1, 1 / 3, 1, 0]))
+    assert MIXED.take(rows).progress is None
+    progress = MIXED.take(rows, progress=True).progress
+    assert progress is not None
+    assert progress.dtype is torch.float32
+    torch.testing.assert_close(progress, torch.tensor([1 / 2, 1, 0, 1, 1 / 3, 1, 0]))
 
 
 def test_each_row_knows_its_trajectory() -> None:

@@ -45,10 +45,12 @@ def in_memory(file: TrajectoryFile) -> np.ndarray:
 # -- rows of the file --------------------------------------------------------------------------------
 
 
-def test_rows_of_episodes_lie_end_to_end(file: TrajectoryFile) -> None:
+def test_rows_of_episodes_lie_end_to_end_and_last_observations_behind_them(file: TrajectoryFile) -> None:
     assert file.episodes("camera").offset.tolist() == [0, 4, 9, 13, 18, 22, 27]
-    assert file.rows("camera", [1, 0]).tolist() == [4, 5, 6, 7, 8, 0, 1, 2, 3]
-    assert file.rows("camera").tolist() == list(range(27))
+    assert file.episodes("camera").last.tolist() == [-1, 27, -1, 28, -1, 29]
+    assert file.rows("camera", [3, 1, 0]).tolist() == [13, 14, 15, 16, 17, 4, 5, 6, 7, 8, 0, 1, 2, 3, 28, 27]
+    assert file.rows("camera", [0]).tolist() == [0, 1, 2, 3]
+    assert file.rows("camera").tolist() == list(range(30))
     with pytest.raises(UserError, match="has episodes 0 to 5; asked for 6"):
         file.rows("camera", [6])
 
@@ -70,12 +72,12 @@ def test_a_domain_without_a_camera_has_no_images(file: TrajectoryFile) -> None:
 # -- images that stay in their file ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rows", [[0], [5, 0, 5, 13], [*range(14)], [-1, 2]])
+@pytest.mark.parametrize("rows", [[0], [5, 0, 15, 5, 13], [*range(16)], [-1, 2]])
 def test_an_image_file_answers_as_a_tensor_would(file: TrajectoryFile, rows: list[int]) -> None:
     whole = torch.from_numpy(in_memory(file))
     images = ImageFile(file, "camera", CHOSEN, kept_bytes=0)
-    assert images.shape == whole.shape == (14, 4, 5, 3)
-    assert len(images) == 14
+    assert images.shape == whole.shape == (16, 4, 5, 3)
+    assert len(images) == 16
     for index in (np.array(rows), torch.tensor(rows)):
         assert torch.equal(images[index], whole[index])
     for part in (slice(2, 9), slice(None), slice(12, 40)):
@@ -98,7 +100,7 @@ def test_no_more_is_kept_than_was_allowed_and_that_is_read_once(
     images = ImageFile(file, "camera", np.arange(6), kept_bytes=blocks * size)
     whole = torch.from_numpy(file.images("camera"))
     for seed in range(4):
-        rows = torch.randperm(27, generator=torch.Generator().manual_seed(seed))
+        rows = torch.randperm(30, generator=torch.Generator().manual_seed(seed))
         assert torch.equal(images[rows], whole[rows])
         assert sum(block.nbytes for block in images.blocks.values()) == images.held_bytes <= blocks * size
     kept = sorted(images.blocks)
@@ -141,6 +143,7 @@ def test_memory_is_shared_out_by_size_and_images_that_fit_are_tensors(seen_file:
 
 def contents(batch: Batch) -> list[torch.Tensor]:
     steps = [t for s in batch.steps.values() for t in (*s.observation, s.action, s.task, s.row)]
+    steps += [t for s in batch.steps.values() for t in s.next_observation or ()]
     return [*steps, *(t for s in batch.pairs.values() for t in (*s.observation, s.frame, s.mask))]
 
 
@@ -149,7 +152,7 @@ def test_batches_are_the_same_wherever_images_are(seen_file: Path, place: float)
     one, other = seen.data_module(seen_file), seen.data_module(seen_file, place)
     assert isinstance(one.datasets["left"].observation.image, torch.Tensor)
     assert isinstance(other.datasets["left"].observation.image, ImageFile)
-    for batch_spec in (BatchSpec(pairs="thinned"), BatchSpec("mix")):
+    for batch_spec in (BatchSpec(pairs="thinned"), BatchSpec("mix"), BatchSpec(next_observation=True)):
         for first, second in zip(one.loader(batch_spec), other.loader(batch_spec), strict=True):
             assert len(contents(first)) == len(contents(second)) > 0
             assert all(torch.equal(a, b) for a, b in zip(contents(first), contents(second), strict=True))
@@ -164,11 +167,14 @@ def test_batches_hold_the_images_that_were_recorded(seen_file: Path) -> None:
         for t in seen.demonstrations(6)
         for state, image in zip(t.observation.state, t.observation.image, strict=True)  # type: ignore[arg-type]
     }
-    for batch in data.loader(BatchSpec(pairs="thinned")):
-        for part in (*batch.steps.values(), *batch.pairs.values()):
-            assert part.observation.image is not None
-            assert part.observation.image.dtype is torch.uint8
-            for state, image in zip(part.observation.state, part.observation.image, strict=True):
+    for batch in data.loader(BatchSpec(pairs="thinned", next_observation=True)):
+        parts = [part.observation for part in (*batch.steps.values(), *batch.pairs.values())]
+        parts += [steps.next_observation for steps in batch.steps.values() if steps.next_observation is not None]
+        assert len(parts) == 3 * len(batch.steps)
+        for part in parts:
+            assert part.image is not None
+            assert part.image.dtype is torch.uint8
+            for state, image in zip(part.state, part.image, strict=True):
                 np.testing.assert_array_equal(image, recorded[tuple(state.tolist())])
 
 
@@ -177,12 +183,13 @@ def test_the_fingerprint_is_that_of_the_values_wherever_they_are(seen_file: Path
     assert len(prints) == 1
 
 
-def test_one_other_pixel_is_another_fingerprint(seen_file: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("row", [0, -1])
+def test_one_other_pixel_is_another_fingerprint(seen_file: Path, tmp_path: Path, row: int) -> None:
     changed = seen.demonstrations(6)[0]
     image = changed.observation.image
     assert image is not None
     image = image.copy()
-    image[0, 0, 0, 0] ^= 1
+    image[row, 0, 0, 0] ^= 1
     again = Trajectory(
         changed.domain, changed.task, Observation(changed.observation.state, image), changed.actions, changed.seed, True
     )

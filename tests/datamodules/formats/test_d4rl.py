@@ -12,7 +12,9 @@ from datamodules.formats.d4rl import Walk, read_walk, split_walk
 from datamodules.formats.source import describe_source
 
 
-def walk_of(goals: list[int], timeouts: list[int], repeats: tuple[int, ...] = ()) -> Walk:
+def walk_of(
+    goals: list[int], timeouts: list[int], repeats: tuple[int, ...] = (), places: np.ndarray | None = None
+) -> Walk:
     """Goal k is at (k, k); state n is (n, n, n, n), but for the rows that repeat the one before."""
     steps = len(goals)
     states = np.repeat(np.arange(steps, dtype=np.float32)[:, None], 4, axis=1)
@@ -20,7 +22,7 @@ def walk_of(goals: list[int], timeouts: list[int], repeats: tuple[int, ...] = ()
         states[row] = states[row - 1]
     flags = np.isin(np.arange(steps), timeouts)
     goal = np.repeat(np.array(goals, np.float32)[:, None], 2, axis=1)
-    return Walk(states, -states[:, :2], goal, flags)
+    return Walk(states, -states[:, :2], goal, flags, states if places is None else places)
 
 
 def spans(walk: Walk) -> list[tuple[int, int, float]]:
@@ -40,6 +42,26 @@ def test_first_step_that_repeats_the_last_one_is_left_out():
     assert [(p.row, len(p.actions)) for p in pieces] == [(0, 3), (4, 2), (7, 0)]
     np.testing.assert_array_equal(pieces[1].states[:, 0], [4, 5])
     np.testing.assert_array_equal(pieces[1].actions[:, 0], [-4, -5])
+
+
+def last_states(walk: Walk) -> list[float | None]:
+    """What was seen after the last action of each piece, where that is known."""
+    return [float(p.states[-1, 0]) if len(p.states) > len(p.actions) else None for p in split_walk(walk)]
+
+
+def test_what_was_seen_last_is_what_the_next_way_begins_with_unless_that_is_the_old_observation_again():
+    goals = [1, 1, 1, 2, 2, 2, 3]
+    assert last_states(walk_of(goals, [2, 5])) == [3, 6, None]
+    # Row 4 is two actions after row 2, so where the action of row 2 led was never seen.
+    assert last_states(walk_of(goals, [2, 5], repeats=(3,))) == [None, 6, None]
+
+
+def test_the_simulators_own_record_tells_where_the_last_action_led():
+    places = 10.0 + np.repeat(np.arange(7, dtype=np.float32)[:, None], 4, axis=1)
+    walk = walk_of([1, 1, 1, 2, 2, 2, 3], [2, 5], repeats=(3,), places=places)
+    assert last_states(walk) == [13, 16, None]
+    np.testing.assert_array_equal(split_walk(walk)[0].states[:, 0], [0, 1, 2, 13])
+    np.testing.assert_array_equal(split_walk(walk)[1].states[:, 0], [4, 5, 16])
 
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.booleans(), st.booleans()), min_size=1, max_size=40))

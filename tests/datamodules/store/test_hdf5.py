@@ -26,7 +26,9 @@ def experiments(draw):
                 draw(st.integers(0, len(keys))), ObservationKey("cam", (2, 3, draw(st.integers(1, 3))), "image")
             )
         specs.append(DomainSpec(name, tuple(keys), draw(st.integers(1, 3)), draw(st.integers(1, 50))))
-    keys = st.tuples(st.sampled_from(specs), st.sampled_from(TASKS), st.integers(0, 2**40), st.integers(1, 20))
+    keys = st.tuples(
+        *(st.sampled_from(specs), st.sampled_from(TASKS), st.integers(0, 2**40), st.integers(1, 20), st.booleans())
+    )
     chosen = draw(st.lists(keys, max_size=8, unique_by=lambda key: (key[0].name, *key[1:3])))
     return specs, [demonstration(*key) for key in chosen]
 
@@ -100,10 +102,13 @@ def test_read_lays_chosen_episodes_end_to_end(tmp_path_factory, chosen):
     assert list(arrays.offset) == [0, *np.cumsum([len(t) for t in single])]
     for number, trajectory in enumerate(single):
         steps = slice(arrays.offset[number], arrays.offset[number + 1])
-        np.testing.assert_array_equal(arrays.state[steps], trajectory.observation.state)
-        np.testing.assert_array_equal(arrays.image[steps], trajectory.observation.image)
+        seen = [*range(steps.start, steps.stop), *([arrays.last[number]] if trajectory.last_known else [])]
+        np.testing.assert_array_equal(arrays.state[seen], trajectory.observation.state)
+        np.testing.assert_array_equal(arrays.image[seen], trajectory.observation.image)
         np.testing.assert_array_equal(arrays.actions[steps], trajectory.actions)
-    assert len(arrays.image) == arrays.offset[-1]
+    assert [last >= 0 for last in arrays.last] == [t.last_known for t in single]
+    assert len(arrays.actions) == arrays.offset[-1]
+    assert len(arrays.state) == len(arrays.image) == arrays.offset[-1] + sum(t.last_known for t in single)
 
 
 def test_state_holds_the_keys_in_the_order_of_the_spec(path):
@@ -225,6 +230,8 @@ def changed(state=None, actions=None, image=None) -> Trajectory:
     ("trajectory", "message"),
     [
         (changed(state=np.array([[0, 1]] * 4 + [[0, np.nan]])), r"not finite in 'joints', step 4"),
+        (changed(np.array([[0, 1]] * 5 + [[0, np.inf]]), image=np.zeros((6, 4, 5, 3), np.uint8)), r"'joints', step 5"),
+        (changed(state=np.zeros((6, 2))), r"images \(\(5, 4, 5, 3\).*; expected \(\(6, 4, 5, 3\)"),
         (changed(state=np.full((5, 2), 1e300)), r"not finite in 'joints', step 0"),
         (changed(state=np.zeros((5, 3))), r"state of shape \(5, 3\); expected \(5, 2\)"),
         (

@@ -92,6 +92,19 @@ def cut(share: float, path: Path) -> None:
             partial(put, "/domains/arm/episodes/offset", np.arange(6)),
             r"shape \(6,\), type int64; expected shape \(7,\)",
         ),
+        (partial(delete, "/domains/arm/episodes/last"), "no array /domains/arm/episodes/last"),
+        (
+            partial(put, "/domains/arm/episodes/last", np.array([-1, 27, -1, 29, -1, 28])),
+            r"episodes/last \[27, 29, 28\]…; expected -1, or 27 and the rows after it in turn",
+        ),
+        (
+            partial(put, "/domains/arm/episodes/last", np.array([-1, 27, -1, 28, -1, -1])),
+            r"/domains/arm/obs/pos of shape \(30, 3\), type float32; expected shape \(29, 3\), type float32",
+        ),
+        (
+            partial(set_attribute, "format_version", "1.0"),
+            r"of shape \(30, 3\), type float32; expected shape \(27, 3\)",
+        ),
         (partial(put, "/domains/arm/episodes/task_id", np.full(6, 3, np.int32)), "a number outside 0…2"),
     ],
 )
@@ -104,9 +117,10 @@ def test_a_damaged_file_is_refused_in_one_line(path, damage, message):
 
 
 @pytest.mark.parametrize("place", ["/domains/arm/actions", "/domains/camera/obs/joints", "/domains/arm/episodes/seed"])
-def test_a_flipped_bit_is_found(path, place):
+@pytest.mark.parametrize("first", [True, False])
+def test_a_flipped_bit_is_found(path, place, first):
     with h5py.File(path) as file:
-        start = file[place].id.get_offset()
+        start = file[place].id.get_offset() + (0 if first else file[place].nbytes - file[place].dtype.itemsize)
     content = bytearray(path.read_bytes())
     content[start] ^= 1
     path.write_bytes(content)
@@ -250,7 +264,7 @@ def test_a_forked_process_opens_the_file_for_itself(path):
 def test_a_closed_file_opens_again_unless_it_was_replaced(path):
     file = TrajectoryFile.open(path)
     file.close()
-    assert len(file.read("arm").state) == 27
+    assert len(file.read("arm").actions) == 27
     file.close()
     add_trajectories(path, SPECS, TASKS, [demonstration(ARM, "lift", 99)], WHY)
     with pytest.raises(TrajectoryFileError, match="the file was replaced while in use"):

@@ -24,8 +24,9 @@ def check(tmp_path):
     return write_and_check
 
 
-def successes(seeds=(0, 1)):
-    return [replace(demonstration(spec, t, s, 4 + s), success=True) for spec in SPECS for t in TASKS for s in seeds]
+def successes(seeds=(0, 1), last=True):
+    made = [demonstration(spec, t, s, 4 + s, last) for spec in SPECS for t in TASKS for s in seeds]
+    return [replace(trajectory, success=True) for trajectory in made]
 
 
 def with_state(steps) -> list:
@@ -37,6 +38,12 @@ def with_state(steps) -> list:
 def test_a_good_file_has_only_counts(check):
     pairs = [Finding("info", f"{s.name}, {t}", "2 demonstrations of 4 to 5 steps") for s in SPECS for t in TASKS]
     assert check(successes()) == pairs
+
+
+def test_demonstrations_without_a_last_observation_are_counted(check):
+    found = check([*successes((0,)), *successes((1, 2), last=False)])
+    message = "2 of 3 demonstrations end without a last observation: phases that look a step ahead leave their last"
+    assert sum(f.severity == "info" and f.message.startswith(message) for f in found) == len(SPECS) * len(TASKS)
 
 
 def test_a_task_that_a_domain_lacks_is_named(check):
@@ -90,6 +97,13 @@ def tamper(path, place, row, value):
     ("place", "row", "value", "where", "message"),
     [
         ("/domains/arm/obs/grip", 4, np.nan, "arm, grip", "1 steps are not finite, first in episode 1, step 0"),
+        (
+            "/domains/arm/obs/pos",
+            (28, 1),
+            np.inf,
+            "arm, pos",
+            "1 steps are not finite, first in episode 3, after its last step",
+        ),
         ("/domains/arm/actions", 3, np.inf, "arm, actions", "1 steps are not finite, first in episode 0, step 3"),
         (
             "/domains/arm/actions",
