@@ -167,12 +167,26 @@ def public(tree: ast.Module) -> Iterator[ast.ClassDef | ast.FunctionDef | ast.As
                     bodies.append(node.body)
 
 
+def overrides(module: str, class_name: str, name: str) -> bool:
+    """Whether a base class documents a method of this name."""
+    kind = getattr(importlib.import_module(module), class_name)
+    return any(getattr(vars(base).get(name), "__doc__", None) for base in kind.__mro__[1:])
+
+
+def bare(module: str) -> Iterator[str]:
+    """Public names without a docstring that no base class documents either."""
+    tree = ast.parse(MODULES[module].read_text())
+    for node in public(tree):
+        if not ast.get_docstring(node):
+            owner = next((c for c in ast.walk(tree) if isinstance(c, ast.ClassDef) and node in c.body), None)
+            if owner is None or not overrides(module, owner.name, node.name):
+                yield node.name
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_public_names_are_documented(module: str) -> None:
-    tree = ast.parse(MODULES[module].read_text())
-    bare = [node.name for node in public(tree) if not ast.get_docstring(node)]
-    assert ast.get_docstring(tree)
-    assert bare == []
+    assert ast.get_docstring(ast.parse(MODULES[module].read_text()))
+    assert [*bare(module)] == []
 
 
 @pytest.mark.parametrize("module", [name for name, path in MODULES.items() if ">>> " in path.read_text()])
