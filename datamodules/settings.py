@@ -58,8 +58,7 @@ class Bound:
         raise ValueError(f"{value}; expected {self.told}")
 
 
-BOUNDS: dict[Any, Bound] = {}
-"""By type that stands for the bound in signatures."""
+BOUNDS: dict[Any, Bound] = {}  # By type that stands for the bound in signatures
 
 if not TYPE_CHECKING:
 
@@ -88,8 +87,7 @@ class Configured:
         ConfigError: If an argument is outside of its bound.
     """
 
-    arguments: dict[str, Any]
-    """By name, defaults included; those of the outermost class that was built."""
+    arguments: dict[str, Any]  # By name, defaults included; those of the outermost class that was built
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Look at the arguments before the constructor does, so that no class has to hand them on."""

@@ -16,31 +16,21 @@ from zlib import crc32
 
 import numpy as np
 
-Purpose = Literal["collect", "evaluate", "score"]
-"""Uses of episodes: what is learned from is not evaluated on."""
-MOST_EPISODES = 1 << 24
-"""Episodes that one (purpose, seed, domain, task) can have."""
+Purpose = Literal["collect", "evaluate", "score"]  # Uses of episodes: what is learned from is not evaluated on
+MOST_EPISODES = 1 << 24  # Episodes that one (purpose, seed, domain, task) can have
 
 
 class Stream(Enum):
     """Purposes of a run's random numbers: the number that a stream's key begins with, and the names of its parts."""
 
-    VAL_SPLIT = 0, "trajectories"
-    """Trajectories that are held out, of so many."""
-    ALIGNMENT_ROWS = 1, "seed", "epoch", "domain"
-    """Steps of a domain in the batches of an epoch."""
-    PAIRS = 2, "seed", "epoch", "step"
-    """Trajectory pairs of a training step."""
-    MIX = 3, "seed", "epoch"
-    """Alignment steps mixed into an epoch of adaptation, and the order of both."""
-    BATCH_TASKS = 4, "seed", "epoch"
-    """Tasks of each batch of an epoch, where batches hold few."""
-    SCORED_STATES = 7, "domain"
-    """States whose alignment is scored."""
-    GUIDED_STATES = (8,)
-    """The same, of episodes that a guide shows for the score alone."""
-    PROXY_GOALS = (11,)
-    """Order in which goals become proxy tasks."""
+    VAL_SPLIT = 0, "trajectories"  # Trajectories that are held out, of so many
+    ALIGNMENT_ROWS = 1, "seed", "epoch", "domain"  # Steps of a domain in the batches of an epoch
+    PAIRS = 2, "seed", "epoch", "step"  # Trajectory pairs of a training step
+    MIX = 3, "seed", "epoch"  # Alignment steps mixed into an epoch of adaptation, and the order of both
+    BATCH_TASKS = 4, "seed", "epoch"  # Tasks of each batch of an epoch, where batches hold few
+    SCORED_STATES = 7, "domain"  # States whose alignment is scored
+    GUIDED_STATES = (8,)  # The same, of episodes that a guide shows for the score alone
+    PROXY_GOALS = (11,)  # Order in which goals become proxy tasks
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -52,12 +42,9 @@ class Stream(Enum):
 class EpisodeStream(IntEnum):
     """Purposes of an episode's random numbers beside its initial state, which has 0 or the checksum of a name."""
 
-    ACTION_NOISE = 1
-    """Noise on a demonstrator's actions."""
-    RANDOM_START = 2
-    """The action that is repeated before a demonstrator takes over."""
-    SPOTS = 3
-    """Order of the coloured spots of the synthetic domains that are seen."""
+    ACTION_NOISE = 1  # Noise on a demonstrator's actions
+    RANDOM_START = 2  # The action that is repeated before a demonstrator takes over
+    SPOTS = 3  # Order of the coloured spots of the synthetic domains that are seen
 
 
 def generator(stream: Stream, *key: int) -> np.random.Generator:

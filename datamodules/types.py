@@ -25,10 +25,8 @@ ArrayT = TypeVar("ArrayT", np.ndarray, "Tensor")
 class Observation(NamedTuple, Generic[ArrayT]):
     """What a policy sees of one domain, raw: numpy arrays in simulators and files, tensors in training."""
 
-    state: ArrayT
-    """Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec."""
-    image: ArrayT | None = None
-    """Uint8 of shape ``(..., H, W, C)``, or None in a domain without a camera."""
+    state: ArrayT  # Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec
+    image: ArrayT | None = None  # Uint8 of shape ``(..., H, W, C)``, or None in a domain without a camera
 
     def take(self: Observation[ArrayT], rows: Any) -> Observation[ArrayT]:  # type: ignore[misc]  # a generic NamedTuple
         """The observation at ``rows`` (an index, a slice or an index array) of the first axis."""
@@ -43,13 +41,10 @@ class Observation(NamedTuple, Generic[ArrayT]):
 class ObservationKey:
     """One named part of an observation, such as the position of the end effector."""
 
-    name: str
-    """Name in the file, letters, digits, ``_``, ``.`` and ``-``."""
-    shape: tuple[int, ...]
-    """Shape of one sample: ``(3,)`` for a vector, ``(H, W, C)`` for an image."""
+    name: str  # Name in the file, letters, digits, ``_``, ``.`` and ``-``
+    shape: tuple[int, ...]  # Shape of one sample: ``(3,)`` for a vector, ``(H, W, C)`` for an image
     kind: Literal["state", "image"] = "state"
-    unit: str = ""
-    """Unit of the raw values: ``m``, ``rad``, ``m/s``, …"""
+    unit: str = ""  # Unit of the raw values: ``m``, ``rad``, ``m/s``, …
 
 
 @dataclass(frozen=True)
@@ -60,8 +55,7 @@ class DomainSpec:
     observation: tuple[ObservationKey, ...]
     action_size: int
     control_hz: float
-    env: str = ""
-    """What simulates it, for the record: robot, simulator, version-independent settings."""
+    env: str = ""  # What simulates it, for the record: robot, simulator, version-independent settings
 
     def __post_init__(self) -> None:
         if not self.state_keys:
@@ -119,10 +113,8 @@ class Trajectory:
     observation: Observation[np.ndarray]
     """State ``(T + 1, O)``, image ``(T + 1, H, W, C)``: what the expert saw before each action and after the last one;
     T rows if nobody knows what was seen last."""
-    actions: np.ndarray
-    """Float32 ``(T, A)`` in [-1, 1]."""
-    seed: int
-    """Seed of the initial state; the simulator and this number give the first observation again."""
+    actions: np.ndarray  # Float32 ``(T, A)`` in [-1, 1]
+    seed: int  # Seed of the initial state; the simulator and this number give the first observation again
     success: bool
 
     def __post_init__(self) -> None:
@@ -145,14 +137,10 @@ class Trajectory:
 class Steps(NamedTuple):
     """Single steps of one domain, drawn from many trajectories; transitions, if they hold what is seen next."""
 
-    observation: Observation[Tensor]
-    """State ``(B, O)``, image ``(B, H, W, C)``."""
-    action: Tensor
-    """``(B, A)``."""
-    task: Tensor
-    """``(B,)`` int64, index into the experiment's task names."""
-    row: Tensor
-    """``(B,)`` int64, position of the step in its domain's dataset (see ``datamodules.batches.dataset``)."""
+    observation: Observation[Tensor]  # State ``(B, O)``, image ``(B, H, W, C)``
+    action: Tensor  # ``(B, A)``
+    task: Tensor  # ``(B,)`` int64, index into the experiment's task names
+    row: Tensor  # ``(B,)`` int64, position of the step in its domain's dataset (see ``datamodules.batches.dataset``)
     next_observation: Observation[Tensor] | None = None
     """State ``(B, O)``, image ``(B, H, W, C)``: what is seen after the action, if the phase asks for it."""
     progress: Tensor | None = None
@@ -163,14 +151,10 @@ class Steps(NamedTuple):
 class PackedTrajectories(NamedTuple):
     """Trajectories of one domain, thinned out, their frames laid end to end."""
 
-    observation: Observation[Tensor]
-    """State ``(F, O)``, image ``(F, H, W, C)``: the frames of all P trajectories."""
-    frame: Tensor
-    """``(P, T)`` int64: which frame is step t of trajectory p; 0 where ``mask`` is False."""
-    mask: Tensor
-    """``(P, T)`` bool: False behind the end of a trajectory."""
-    action: Tensor
-    """``(F, A)``: the expert's."""
+    observation: Observation[Tensor]  # State ``(F, O)``, image ``(F, H, W, C)``: the frames of all P trajectories
+    frame: Tensor  # ``(P, T)`` int64: which frame is step t of trajectory p; 0 where ``mask`` is False
+    mask: Tensor  # ``(P, T)`` bool: False behind the end of a trajectory
+    action: Tensor  # ``(F, A)``: the expert's
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,15 @@ from torch import Tensor
 from datamodules.batches.images import Images
 from datamodules.types import DomainSpec, Observation, Steps
 
-MOST_IMAGE_BYTES = 16 * 2**20
-"""Of images that are looked at together, outside of training."""
+MOST_IMAGE_BYTES = 16 * 2**20  # Of images that are looked at together, outside of training
 
 
 @dataclass(frozen=True)
 class StoredObservation:
     """What the policy may see before all N steps, then the L last observations that are known."""
 
-    state: Tensor
-    """``(N + L, O)`` float32."""
-    image: Images | None
-    """``(N + L, H, W, C)`` uint8, in memory or not; None without a camera or a use for it."""
+    state: Tensor  # ``(N + L, O)`` float32
+    image: Images | None  # ``(N + L, H, W, C)`` uint8, in memory or not; None without a camera or a use for it
 
     def __len__(self) -> int:
         return len(self.state)
@@ -44,20 +41,13 @@ class DomainDataset:
     """
 
     spec: DomainSpec
-    observation: StoredObservation
-    """State ``(N + L, O)`` float32, image ``(N + L, H, W, C)`` uint8."""
-    action: Tensor
-    """``(N, A)`` float32."""
-    task: Tensor
-    """``(N,)`` int64."""
-    offset: np.ndarray
-    """``(E + 1,)`` int64: trajectory e is rows ``offset[e]`` to ``offset[e + 1]``."""
-    episode_task: np.ndarray
-    """``(E,)`` int64."""
-    episode_seed: np.ndarray
-    """``(E,)`` int64: seed of the initial state."""
-    next_row: Tensor
-    """``(N,)`` int64: row of the observation after each step; -1 if nobody knows it."""
+    observation: StoredObservation  # State ``(N + L, O)`` float32, image ``(N + L, H, W, C)`` uint8
+    action: Tensor  # ``(N, A)`` float32
+    task: Tensor  # ``(N,)`` int64
+    offset: np.ndarray  # ``(E + 1,)`` int64: trajectory e is rows ``offset[e]`` to ``offset[e + 1]``
+    episode_task: np.ndarray  # ``(E,)`` int64
+    episode_seed: np.ndarray  # ``(E,)`` int64: seed of the initial state
+    next_row: Tensor  # ``(N,)`` int64: row of the observation after each step; -1 if nobody knows it
 
     def __len__(self) -> int:
         return len(self.action)

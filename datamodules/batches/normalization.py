@@ -15,8 +15,7 @@ Scaling = Literal["zscore", "none"] | float
 """How the columns of one observation key are scaled: to zero mean and unit deviation, left raw, or centred
 and multiplied by a number (1/unit). The choice decides success where one unit must be told apart finely."""
 
-CLIP = 5.0
-"""Bound of z-scored columns, in deviations: a contact's velocity spike must not swamp a layer."""
+CLIP = 5.0  # Bound of z-scored columns, in deviations: a contact's velocity spike must not swamp a layer
 DEFAULT_KEY = "default"
 
 

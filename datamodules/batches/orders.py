@@ -129,12 +129,7 @@ class MixOrder:
     """
 
     def __init__(
-        self,
-        target: Mapping[str, np.ndarray],
-        pool: Mapping[str, np.ndarray],
-        ratio: float,
-        batch_size: int,
-        seed: int,
+        self, target: Mapping[str, np.ndarray], pool: Mapping[str, np.ndarray], ratio: float, batch_size: int, seed: int
     ) -> None:
         self.domains = list(dict.fromkeys([*target, *pool]))
         self.target, self.pool = self._flat(target), self._flat(pool)
@@ -163,8 +158,7 @@ class PairDraw(NamedTuple):
     """Trajectories to compare in one step: row p of both domains demonstrates the same task."""
 
     domains: tuple[str, str]
-    episodes: np.ndarray
-    """``(2, P)``: trajectory ids in the first and the second domain."""
+    episodes: np.ndarray  # ``(2, P)``: trajectory ids in the first and the second domain
     phase: np.ndarray
     """``(P,)`` in [0, 1): where in the first stride both begin, so that every frame gets its turn beside its like."""
 

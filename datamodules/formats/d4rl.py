@@ -19,36 +19,26 @@ import numpy as np
 from datamodules.errors import TrajectoryFileError
 from datamodules.store.guard import UNSUSPICIOUS_BYTES, open_guarded, readable
 
-MAX_STEPS = 10_000_000
-"""More than twice the largest file that D4RL published; as many take 320 MB of memory."""
+MAX_STEPS = 10_000_000  # More than twice the largest file that D4RL published; as many take 320 MB of memory
 
 
 class Walk(NamedTuple):
     """The whole of a file, N steps; nothing in it is NaN or infinite."""
 
-    states: np.ndarray
-    """``(N, 4)`` float32: x, y in m, velocities in m/s, as seen before each action."""
-    actions: np.ndarray
-    """``(N, 2)`` float32: forces along x and y, the limit of the motors is 1."""
-    goals: np.ndarray
-    """``(N, 2)`` float32: where the walker is heading, in m."""
-    timeouts: np.ndarray
-    """``(N,)`` bool: the step is the last on the way to its goal."""
-    places: np.ndarray
-    """``(N, 4)`` float32: where the point was before each action, whatever was seen; else ``states``."""
+    states: np.ndarray  # ``(N, 4)`` float32: x, y in m, velocities in m/s, as seen before each action
+    actions: np.ndarray  # ``(N, 2)`` float32: forces along x and y, the limit of the motors is 1
+    goals: np.ndarray  # ``(N, 2)`` float32: where the walker is heading, in m
+    timeouts: np.ndarray  # ``(N,)`` bool: the step is the last on the way to its goal
+    places: np.ndarray  # ``(N, 4)`` float32: where the point was before each action, whatever was seen; else ``states``
 
 
 class Segment(NamedTuple):
     """The way to one goal, T steps."""
 
-    row: int
-    """Its first step in the walk."""
-    states: np.ndarray
-    """``(T + 1, 4)``, see :class:`Walk`; ``(T, 4)`` if nobody knows where the last action led."""
-    actions: np.ndarray
-    """``(T, 2)``."""
-    goal: np.ndarray
-    """``(2,)``."""
+    row: int  # Its first step in the walk
+    states: np.ndarray  # ``(T + 1, 4)``, see :class:`Walk`; ``(T, 4)`` if nobody knows where the last action led
+    actions: np.ndarray  # ``(T, 2)``
+    goal: np.ndarray  # ``(2,)``
 
 
 def read_walk(path: Path) -> Walk:

@@ -24,8 +24,7 @@ from datamodules.store.schema import (
 )
 from datamodules.types import DomainSpec, Observation, Trajectory
 
-FAR_APART = 8
-"""Times as many rows as are asked for that one read may span."""
+FAR_APART = 8  # Times as many rows as are asked for that one read may span
 
 
 class EpisodeTable(NamedTuple):
@@ -33,12 +32,9 @@ class EpisodeTable(NamedTuple):
 
     offset: np.ndarray
     """``(E + 1,)`` int64: steps ``offset[e]`` to ``offset[e + 1]`` of the domain's arrays are episode e."""
-    task: np.ndarray
-    """``(E,)`` task names."""
-    seed: np.ndarray
-    """``(E,)`` int64."""
-    success: np.ndarray
-    """``(E,)`` bool."""
+    task: np.ndarray  # ``(E,)`` task names
+    seed: np.ndarray  # ``(E,)`` int64
+    success: np.ndarray  # ``(E,)`` bool
     last: np.ndarray
     """``(E,)`` int64: row of the domain's observations that holds what was seen after the last action; -1 if nobody
     knows, as in all episodes of files of format 1.0."""
@@ -47,16 +43,12 @@ class EpisodeTable(NamedTuple):
 class DomainArrays(NamedTuple):
     """Chosen episodes of one domain, laid end to end: N steps of E episodes, then the L last observations known."""
 
-    state: np.ndarray
-    """``(N + L, O)`` float32: the domain's state keys, concatenated in the order of its spec."""
+    state: np.ndarray  # ``(N + L, O)`` float32: the domain's state keys, concatenated in the order of its spec
     image: np.ndarray | None
     """``(N + L, H, W, C)`` uint8; None in a domain without a camera, or if images were not asked for."""
-    actions: np.ndarray
-    """``(N, A)`` float32 in [-1, 1]."""
-    offset: np.ndarray
-    """``(E + 1,)`` int64: where each episode begins, and N."""
-    task: np.ndarray
-    """``(E,)`` task names."""
+    actions: np.ndarray  # ``(N, A)`` float32 in [-1, 1]
+    offset: np.ndarray  # ``(E + 1,)`` int64: where each episode begins, and N
+    task: np.ndarray  # ``(E,)`` task names
     last: np.ndarray
     """``(E,)`` int64: row of state and image that holds an episode's last observation; -1 if nobody knows."""
 

@@ -30,12 +30,9 @@ class Episode(NamedTuple):
     task: str
     seed: int
     success: bool
-    state: np.ndarray
-    """``(T + 1, O)`` float32; ``(T, O)`` if nobody knows what was seen last."""
-    actions: np.ndarray
-    """``(T, A)`` float32."""
-    image: Callable[[], np.ndarray | None]
-    """Gives ``(T + 1, H, W, C)`` or ``(T, H, W, C)`` uint8, or None."""
+    state: np.ndarray  # ``(T + 1, O)`` float32; ``(T, O)`` if nobody knows what was seen last
+    actions: np.ndarray  # ``(T, A)`` float32
+    image: Callable[[], np.ndarray | None]  # Gives ``(T + 1, H, W, C)`` or ``(T, H, W, C)`` uint8, or None
 
 
 def plain_json(provenance: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,8 +21,7 @@ from datamodules.store.guard import is_name
 from datamodules.types import DomainSpec, ObservationKey
 
 FORMAT = "plp-trajectories"
-FORMAT_VERSION = "1.1"
-"""Of files that are written."""
+FORMAT_VERSION = "1.1"  # Of files that are written
 READABLE = (FORMAT_VERSION, "1.0")
 HEADER = "header"
 EPISODE_COLUMNS: dict[str, type[np.generic]] = {

@@ -20,8 +20,7 @@ class Finding:
 
     severity: Literal["info", "warning", "error"]
     """An error makes the file unfit for training; a warning asks for a look."""
-    place: str
-    """Domain, task, key or path in the file."""
+    place: str  # Domain, task, key or path in the file
     message: str
 
 

@@ -18,8 +18,7 @@ from plp_lightning.envs.rendering.speed import frames_per_second
 from plp_lightning.envs.threads import available_cores
 from plp_lightning.runs.versions import PACKAGES, versions
 
-THREADS = ("OMP_NUM_THREADS", "LP_NUM_THREADS")
-"""Variables that say how many threads a library starts in each process."""
+THREADS = ("OMP_NUM_THREADS", "LP_NUM_THREADS")  # Variables that say how many threads a library starts in each process
 
 
 def run_doctor(arguments: Sequence[str]) -> None:

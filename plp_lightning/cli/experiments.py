@@ -23,8 +23,7 @@ from plp_lightning.runs.results import print_results, print_success
 from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.versions import versions
 
-EXPERT_STEPS = 3_000_000
-"""Enough for a gait that falls over in few episodes; a quarter of an hour on one core."""
+EXPERT_STEPS = 3_000_000  # Enough for a gait that falls over in few episodes; a quarter of an hour on one core
 
 
 def run_fit(arguments: Sequence[str]) -> None:
@@ -219,8 +218,4 @@ def _asks_for_help(arguments: Sequence[str]) -> bool:
 
 
 def _environment() -> dict[str, object]:
-    return {
-        "command": shlex.join(["plp", *sys.argv[1:]]),
-        "platform": platform.platform(),
-        "versions": versions(),
-    }
+    return {"command": shlex.join(["plp", *sys.argv[1:]]), "platform": platform.platform(), "versions": versions()}

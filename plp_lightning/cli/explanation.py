@@ -11,8 +11,7 @@ from jsonargparse import ArgumentParser
 
 from plp_lightning.cli.classes import known_classes
 
-NEAR = 0.7
-"""Similarity from which a known word is offered in place of an unknown one."""
+NEAR = 0.7  # Similarity from which a known word is offered in place of an unknown one
 
 
 def explain(message: str, parser: ArgumentParser) -> str:

@@ -18,10 +18,8 @@ from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.runs.versions import versions
 
-SHORTEST = 10
-"""Steps below which a way shows nothing: a tenth of a second."""
-NEAR = 0.5
-"""Distance from the middle of the goal cell at which our mazes count a goal as reached, in cells."""
+SHORTEST = 10  # Steps below which a way shows nothing: a tenth of a second
+NEAR = 0.5  # Distance from the middle of the goal cell at which our mazes count a goal as reached, in cells
 
 
 def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:

@@ -17,8 +17,7 @@ import yaml
 from datamodules.errors import ConfigError
 from plp_lightning.cli.classes import defaults, find_class
 
-Tree = dict[str, Any]
-"""A configuration as YAML has it."""
+Tree = dict[str, Any]  # A configuration as YAML has it
 
 
 def read_yaml(path: Path) -> Tree:

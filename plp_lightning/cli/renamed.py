@@ -51,11 +51,10 @@ CDIL = {
 TERMS = {"mmd": "MMD", "adversarial": "DomainAdversarial", "tcc": "TCC"}
 """Classes of the terms that once were words in a list."""
 VALUES: Mapping[str, Callable[[Any], Any]] = {
-    "lr_schedule": lambda word: {"class_path": "CosineDecay"} if word == "cosine" else None,
+    "lr_schedule": lambda word: {"class_path": "CosineDecay"} if word == "cosine" else None
 }
 """What becomes of values that are told in another way now."""
-OLD_CLIP = 5.0
-"""The only bound of z-scored inputs that there is now."""
+OLD_CLIP = 5.0  # The only bound of z-scored inputs that there is now
 
 
 def rename(tree: Tree, phases: list[str]) -> tuple[Tree, list[str]]:

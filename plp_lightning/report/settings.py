@@ -18,8 +18,7 @@ INDIFFERENT = (
 )
 """Settings, or groups of them, that change nothing of what is learned: seeds, goals, places, threads, what is logged,
 evaluated or drawn."""
-MOST = 3
-"""Differences that a message tells."""
+MOST = 3  # Differences that a message tells
 
 
 def check_settings(records: Mapping[Path, Record]) -> None:

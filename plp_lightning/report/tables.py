@@ -16,11 +16,9 @@ import yaml
 
 from plp_lightning.report.record import Record
 
-Paper = Mapping[str, Mapping[str, tuple[float, float]]]
-"""Mean and standard deviation by experiment and method."""
+Paper = Mapping[str, Mapping[str, tuple[float, float]]]  # Mean and standard deviation by experiment and method
 COLUMNS = [field.name for field in fields(Record)]
-MEASURES = ("alignment", "behaviour")
-"""Fields whose every entry is a column."""
+MEASURES = ("alignment", "behaviour")  # Fields whose every entry is a column
 MARK = "†"
 
 

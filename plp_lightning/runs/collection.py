@@ -64,8 +64,7 @@ class CollectionConfig(Configured):
 
 DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
 """Settings of a recipe that decide what its demonstrations hold."""
-RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}
-"""Settings that are called otherwise in older files."""
+RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}  # Settings that are called otherwise in older files
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,7 @@ class Job:
     domain: str
     task: str
     count: int
-    known_seeds: frozenset[int]
-    """Seeds of demonstrations that the file already holds."""
+    known_seeds: frozenset[int]  # Seeds of demonstrations that the file already holds
 
 
 class ExpertCollector:

@@ -64,15 +64,12 @@ class Experiment:
     domains: Mapping[str, Domain]
     data: TransferDataModule
     policy: PolicyFactory
-    phases: Mapping[str, PhaseFactory]
-    """By name, in the order in which they are run."""
+    phases: Mapping[str, PhaseFactory]  # By name, in the order in which they are run
     evaluation: EvaluationPlan
     score: AlignmentScore | None
     callbacks: Sequence[Callback]
-    trainer: Mapping[str, Any]
-    """Arguments of Lightning's Trainer."""
-    config: str
-    """The resolved configuration as YAML."""
+    trainer: Mapping[str, Any]  # Arguments of Lightning's Trainer
+    config: str  # The resolved configuration as YAML
 
     @property
     def run_path(self) -> Path:

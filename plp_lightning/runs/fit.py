@@ -169,11 +169,7 @@ def build_trainer(
             TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed_step),
             MetricsFile(folder),
         ],
-        callbacks=[
-            *_own_callbacks(experiment, run, name, phase),
-            *further,
-            *copy.deepcopy(list(experiment.callbacks)),
-        ],
+        callbacks=[*_own_callbacks(experiment, run, name, phase), *further, *copy.deepcopy(list(experiment.callbacks))],
         plugins=[AtomicCheckpointIO()],
         enable_progress_bar=False,
     )
