@@ -48,7 +48,6 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.report": {"datamodules.errors"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
     | {"plp_lightning.callbacks", "plp_lightning.pictures"},
-    "plp_lightning.cli.allowlist": set(),
     "plp_lightning.cli.main": {"datamodules.errors", "plp_lightning.cli"},
     # The command line joins everything.
     "plp_lightning.cli": ALL,
@@ -60,7 +59,6 @@ LIGHT = (
     "plp_lightning",
     "plp_lightning.cli.main",
     "plp_lightning.cli.data",
-    "plp_lightning.cli.inspection",
     "datamodules.store.writer",
 )
 SIMULATORS = {"mujoco", "robosuite", "gymnasium", "gymnasium_robotics", "metaworld"}

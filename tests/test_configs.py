@@ -21,8 +21,7 @@ from lightning.pytorch import Trainer
 from datamodules.store.writer import write_trajectories
 from datamodules.types import Observation, Trajectory
 from plp_lightning.cli import config
-from plp_lightning.cli.allowlist import ALLOWED_IMPORTS
-from plp_lightning.cli.classes import defaults, find_class
+from plp_lightning.cli.classes import ALLOWED_IMPORTS, defaults, find_class
 from plp_lightning.cli.config import BASE, DataSettings, allow_imports, build_parser, parse, resolve
 from plp_lightning.cli.layers import completed, insert, overlay
 from plp_lightning.envs.tabletop.simulator import Tabletop

@@ -8,9 +8,8 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from datamodules.batches.dataset import DomainDataset
+from datamodules.batches.dataset import DomainDataset, thin_out
 from datamodules.batches.orders import PairOrder
-from datamodules.batches.packing import thin_out
 from datamodules.types import Batch, BatchSpec, PackedTrajectories, Steps
 
 PLAIN = BatchSpec()

@@ -17,6 +17,8 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.plp.terms import AlignmentTerm
 from plp_lightning.methods.policy import Policy
 
+ALLOWED_IMPORTS = ["plp_lightning", "datamodules", "lightning.pytorch.callbacks", "torchmetrics", "torch.optim"]
+"""Packages that a configuration may import from; a file that names another is refused before the import happens."""
 ROOTS = (Policy, Phase, AlignmentTerm, Simulator, Expert, AlignmentScore, Callback, Optimizer, LRScheduler)
 """Their subclasses are what a configuration names."""
 

@@ -20,7 +20,7 @@ from datamodules.problem import TransferRoles
 from datamodules.settings import NonNegativeInt, PositiveInt
 from datamodules.transfer import TransferDataModule
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
-from plp_lightning.cli.allowlist import ALLOWED_IMPORTS
+from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import explain
 from plp_lightning.cli.layers import Tree, completed, insert, overlay, read_yaml, without_spare_parts
 from plp_lightning.cli.renamed import rename, rename_flag

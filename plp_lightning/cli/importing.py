@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError
+from datamodules.formats import describe_source
 from datamodules.formats.d4rl import Segment, Walk, read_walk, split_walk
-from datamodules.formats.source import describe_source
 from datamodules.store.writer import add_trajectories
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.maze.simulator import PointMaze

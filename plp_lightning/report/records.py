@@ -1,20 +1,62 @@
-"""What the runs found: their ``results.json``, read and checked."""
+"""What the runs found: their ``results.json``, read, checked, and comparable with one another."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from datamodules.errors import ConfigError
-from plp_lightning.report.record import Record
-from plp_lightning.report.settings import check_settings
 
 UNTRAINED_BEFORE = {"cdil"}
 """Methods whose older results tell the success of what was not trained yet as that before adaptation."""
 COUNTED = {"success", "before", "episodes", "invalid", "interval"}
 """Keys of every outcome; others are measures of behaviour."""
+INDIFFERENT = (
+    *("seed", "data.target_task"),  # what is averaged over
+    *("run_root", "data.root", "data.file", "data.image_memory", "collection.processes"),
+    *("threads", "trainer.accelerator", "trainer.devices", "trainer.num_nodes"),
+    *("evaluation", "score", "callbacks", "trainer.profiler", "trainer.log_every_n_steps"),
+    *("trainer.enable_model_summary", "trainer.num_sanity_val_steps"),
+)
+"""Settings, or groups of them, that change nothing of what is learned: seeds, goals, places, threads, what is logged,
+evaluated or drawn."""
+MOST = 3  # Differences that a message tells
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run's outcome on its target task; success rates are between 0 and 1.
+
+    Attributes:
+        success: In the target domain, at the end.
+        low: Lower end of its 95 % interval.
+        high: Upper end of it.
+        before: In the target domain before adaptation; None where what acts was not trained before.
+        source: In the source domain, at the end.
+        proxy: On proxy tasks in the target domain, at the end.
+        alignment: Scores by name, such as ``top5`` or ``closeness``.
+        seconds: Time of all phases together, without collecting.
+        settings: Settings that differ from the defaults, by dotted key; None if nobody wrote them down.
+        behaviour: Further measures of the target task's episodes in the target domain, by name.
+    """
+
+    experiment: str
+    method: str
+    target: str
+    seed: int
+    success: float
+    low: float
+    high: float
+    before: float | None
+    source: float | None
+    proxy: float | None
+    alignment: Mapping[str, float]
+    seconds: float
+    settings: Mapping[str, Any] | None = None
+    behaviour: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_records(paths: Sequence[Path]) -> list[Record]:
@@ -96,3 +138,36 @@ def _before(content: Mapping[str, Any]) -> float | None:
     older = "settings" not in content and content["method"] in UNTRAINED_BEFORE
     before = content["target"]["before"]
     return None if before is None or older else float(before)
+
+
+def check_settings(records: Mapping[Path, Record]) -> None:
+    """Compares runs of one method on one experiment; runs whose settings nobody wrote down are left out.
+
+    Args:
+        records: Runs by the file that holds their results.
+
+    Raises:
+        ConfigError: If two of them differ in what is learned.
+    """
+    first: dict[tuple[str, str], tuple[Path, Mapping[str, Any]]] = {}
+    for file, record in records.items():
+        if record.settings is None:
+            continue
+        own = {key: value for key, value in record.settings.items() if not _indifferent(key)}
+        other_file, other = first.setdefault((record.experiment, record.method), (file, own))
+        if own != other:
+            raise ConfigError(
+                f"{other_file} and {file} are runs of {record.method} on {record.experiment}, but differ in "
+                f"{_differences(other, own)}; expected runs with the same settings, which can be averaged: "
+                "report them apart"
+            )
+
+
+def _indifferent(key: str) -> bool:
+    return key.endswith(".threads") or any(key == name or key.startswith(f"{name}.") for name in INDIFFERENT)
+
+
+def _differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    keys = [key for key in sorted({*one, *other}) if one.get(key) != other.get(key) or (key in one) != (key in other)]
+    told = [f"{key} ({one.get(key, 'the default')} and {other.get(key, 'the default')})" for key in keys[:MOST]]
+    return ", ".join(told) + (f" and {len(keys) - MOST} more" if len(keys) > MOST else "")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import yaml
 
-from plp_lightning.report.record import Record
+from plp_lightning.report.records import Record
 
 Paper = Mapping[str, Mapping[str, tuple[float, float]]]  # Mean and standard deviation by experiment and method
 COLUMNS = [field.name for field in fields(Record)]

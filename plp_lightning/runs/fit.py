@@ -33,8 +33,8 @@ from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.metrics_file import MetricsFile
-from plp_lightning.runs.phase_progress import PhaseProgress
 from plp_lightning.runs.policies import load_policy_weights
+from plp_lightning.runs.progress import PhaseProgress
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.stopwatch import Stopwatch

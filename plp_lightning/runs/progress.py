@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from types import TracebackType
+from typing import Any
 
+from lightning.pytorch import Callback, LightningModule, Trainer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from plp_lightning.methods.phase import Phase
 
 SECONDS_BETWEEN_LINES = 10.0
 
@@ -60,3 +65,42 @@ class JobProgress:
         self.last_line = time.monotonic()
         seconds = self.last_line - self.began
         print(f"{self.label}: {self.done}/{self.total} {self.unit}, {seconds:.0f} s {note}".rstrip(), flush=True)
+
+
+class PhaseProgress(Callback):
+    """Counts epochs and shows the held-out loss and the newest success rate.
+
+    Args:
+        phase: Name of the phase.
+    """
+
+    def __init__(self, phase: str) -> None:
+        self.phase = phase
+        self.progress: JobProgress | None = None
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Begin where a resumed run stopped."""
+        self.progress = JobProgress(self.phase, trainer.max_epochs or 0, "epochs").__enter__()
+        self.progress.advance(trainer.current_epoch)
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """One more epoch."""
+        assert self.progress is not None
+        self.progress.advance(1, _note(trainer.callback_metrics, pl_module))
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Leave the line."""
+        assert self.progress is not None
+        self.progress.__exit__(None, None, None)
+        self.progress = None
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        """Give the terminal back."""
+        if self.progress is not None:
+            self.progress.__exit__(type(exception), exception, None)
+
+
+def _note(metrics: Mapping[str, Any], phase: LightningModule) -> str:
+    monitor = phase.monitor if isinstance(phase, Phase) else ""
+    shown = {monitor: "held-out loss {:.4f}", "eval/target_success": "target success {:.2f}"}
+    return ", ".join(text.format(float(metrics[key])) for key, text in shown.items() if key in metrics)

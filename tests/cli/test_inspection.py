@@ -11,7 +11,7 @@ import pytest
 from datamodules.errors import TrajectoryFileError
 from datamodules.store.writer import write_trajectories
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
-from plp_lightning.cli.inspection import inspect_file, validate
+from plp_lightning.cli.data import inspect_file, validate
 
 POINT = DomainSpec(
     "point", (ObservationKey("pos", (2,), unit="m"), ObservationKey("vel", (2,), unit="m/s")), 2, 50.0, "[maze]"
@@ -86,6 +86,6 @@ def test_a_missing_file(verb, tmp_path):
 
 def test_neither_torch_nor_a_simulator_is_imported(path):
     heavy = "{'torch', 'lightning', 'mujoco', 'robosuite', 'gymnasium', 'sklearn'}"
-    code = f"from plp_lightning.cli.inspection import *; inspect_file({path!r}, True); validate({path!r}); import sys"
+    code = f"from plp_lightning.cli.data import *; inspect_file({path!r}, True); validate({path!r}); import sys"
     code += f"; assert not {heavy} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

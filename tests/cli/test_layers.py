@@ -10,7 +10,7 @@ import yaml
 from command import ROOT, SMOKE
 
 from datamodules.errors import ConfigError
-from plp_lightning.cli.allowlist import ALLOWED_IMPORTS
+from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.config import parse, resolve
 from plp_lightning.cli.layers import completed, insert, overlay, read_yaml, remove, without_spare_parts
 

@@ -7,8 +7,7 @@ import json
 import pytest
 from command import METHODS, ROOT, complaint, plp
 
-from plp_lightning.report.record import Record
-from plp_lightning.report.records import read_records
+from plp_lightning.report.records import Record, read_records
 from plp_lightning.report.tables import comma_separated, markdown, paper_values
 
 PAGES = {path.stem for path in (ROOT / "configs").glob("*.yaml")}

@@ -9,9 +9,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from datamodules.batches.dataset import thin_out
 from datamodules.batches.loader import FixedBatches, Loader, PairSource
 from datamodules.batches.orders import AlignmentOrder, MixOrder, PairOrder
-from datamodules.batches.packing import thin_out
 from datamodules.types import Batch
 
 TABLES = {

@@ -5,7 +5,7 @@ import tiny
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodules.batches.packing import thin_out
+from datamodules.batches.dataset import thin_out
 
 SPEC = tiny.spec("arm", 3, 2)
 

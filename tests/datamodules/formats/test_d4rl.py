@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodules.errors import TrajectoryFileError
+from datamodules.formats import describe_source
 from datamodules.formats.d4rl import Walk, read_walk, split_walk
-from datamodules.formats.source import describe_source
 
 
 def walk_of(

@@ -16,7 +16,7 @@ from demonstrations import assert_equal
 from datamodules.store.validation import validate_file
 from datamodules.store.writer import TrajectoryFile, add_trajectories, verify_hashes
 from datamodules.types import Trajectory
-from plp_lightning.cli.inspection import inspect_file
+from plp_lightning.cli.data import inspect_file
 
 FINGERPRINT = "11f876650c2c6be294bbfadbb9940fe03298bb67dddeaa14c296ce0ed7a2cb77"
 """Of the data that a run reads from the file, as the code that wrote it computed it."""
