@@ -1,4 +1,4 @@
-"""What is to be transferred, in the terms that every policy is built from."""
+"""Domains, tasks and the parts that they play in a transfer: all that a policy is built for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from datamodules.types import DomainSpec
 
 @dataclass(frozen=True)
 class TransferRoles:
-    """Which domain and which task plays which part in a transfer.
+    """Domains and tasks by the parts that they play in a transfer.
 
     Args:
         domains: Names of the domains, in order.
@@ -35,14 +35,14 @@ class TransferRoles:
 
 @dataclass(frozen=True)
 class TransferProblem:
-    """What is to be transferred: all that a policy is built for.
+    """Domains and tasks that a policy is built for.
 
     Args:
-        domains: What each domain looks like; their order is the domain id.
+        domains: Specs of the domains; their order is the domain id.
         tasks: Names of all tasks, the target's included; their order is the task id.
         source_domain: Domain whose demonstrations of the target task adapt the policy.
         target_domain: Domain that the policy is transferred to.
-        statistics: Of raw states, by domain; without them a checkpoint has to bring the scaling.
+        statistics: Statistics ``(O,)`` of raw states, by domain; without them a checkpoint has to bring the scaling.
     """
 
     domains: Sequence[DomainSpec]

@@ -35,8 +35,7 @@ class Stream(Enum):
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the numbers that follow in its keys."""
-        _, *names = self.value
-        return tuple(map(str, names))
+        return tuple(map(str, self.value[1:]))
 
 
 class EpisodeStream(IntEnum):

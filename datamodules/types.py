@@ -1,4 +1,4 @@
-"""The words of the house: what a domain looks like, what a trajectory holds, what a batch carries.
+"""The words of the house: domains, observations, trajectories, batches.
 
 Axes, here and everywhere: ``B`` batch, ``E`` episodes stepped together, ``T`` time, ``O`` state
 size of a domain, ``A`` action size of a domain, ``Z`` latent size, ``K`` tasks.
@@ -23,17 +23,17 @@ ArrayT = TypeVar("ArrayT", np.ndarray, "Tensor")
 
 
 class Observation(NamedTuple, Generic[ArrayT]):
-    """What a policy sees of one domain, raw: numpy arrays in simulators and files, tensors in training."""
+    """A policy's raw view of one domain: numpy arrays in simulators and files, tensors in training."""
 
     state: ArrayT  # Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec
     image: ArrayT | None = None  # Uint8 of shape ``(..., H, W, C)``, or None in a domain without a camera
 
     def take(self: Observation[ArrayT], rows: Any) -> Observation[ArrayT]:  # type: ignore[misc]  # a generic NamedTuple
-        """The observation at ``rows`` (an index, a slice or an index array) of the first axis."""
+        """The observation at ``rows``, an index, a slice or an index array ``(n,)``, of the first axis."""
         return self.map(lambda x: x[rows])
 
     def map(self: Observation[ArrayT], change: Callable[[ArrayT], Any]) -> Observation[Any]:  # type: ignore[misc]
-        """The observation with ``change`` applied to every array in it."""
+        """The observation with ``change`` applied to its state ``(..., O)`` and its image ``(..., H, W, C)``."""
         return Observation(change(self.state), None if self.image is None else change(self.image))
 
 
@@ -63,7 +63,7 @@ class DomainSpec:
 
     @property
     def state_keys(self) -> tuple[ObservationKey, ...]:
-        """The keys that make up the state vector, in order."""
+        """The keys that make up the state vector ``(O,)``, in order."""
         return tuple(key for key in self.observation if key.kind == "state")
 
     @property
@@ -73,23 +73,21 @@ class DomainSpec:
 
     @property
     def state_size(self) -> int:
-        """O, the length of the state vector."""
+        """Length O of the state vector ``(O,)``."""
         return sum(key.shape[0] for key in self.state_keys)
 
     def columns(self, names: Iterable[str]) -> list[int]:
-        """Columns of the state vector that hold the named keys, in the order of ``names``.
+        """Columns of the state vector ``(O,)`` that hold the named keys, in the order of ``names``.
 
         Raises:
             UserError: If the domain has no state key of that name.
         """
-        starts = np.cumsum([0] + [key.shape[0] for key in self.state_keys])
-        spans = {key.name: range(starts[i], starts[i + 1]) for i, key in enumerate(self.state_keys)}
-        columns: list[int] = []
-        for name in names:
+        stops = np.cumsum([key.shape[0] for key in self.state_keys])
+        spans = {key.name: range(n - key.shape[0], n) for key, n in zip(self.state_keys, stops, strict=True)}
+        for name in (names := list(names)):
             if name not in spans:
                 raise UserError(f"domain {self.name!r} has no state key {name!r}; it has: {', '.join(spans)}")
-            columns.extend(spans[name])
-        return columns
+        return [column for name in names for column in spans[name]]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain lists, strings and numbers, for JSON and checkpoints."""
@@ -130,7 +128,7 @@ class Trajectory:
 
     @property
     def last_known(self) -> bool:
-        """Whether the observation after the last action is there."""
+        """True if the observation after the last action is there: T + 1 rows of state ``(T + 1, O)``."""
         return len(self.observation.state) > len(self)
 
 
@@ -159,7 +157,7 @@ class PackedTrajectories(NamedTuple):
 
 @dataclass(frozen=True)
 class BatchSpec:
-    """What a phase trains on.
+    """Contents of a phase's batches.
 
     Args:
         steps: Single steps: of proxy tasks in every domain; of ``all`` tasks that there are demonstrations of, in
@@ -190,7 +188,7 @@ class Batch(NamedTuple):
 
 
 Actor = Callable[[Observation[np.ndarray], np.ndarray], np.ndarray]
-"""Who acts in episodes: observations ``(n, …)`` of those ``(n,)`` that still run → actions ``(n, A)``."""
+"""Acts in episodes: observations ``(n, …)`` of those ``(n,)`` that still run → actions ``(n, A)``."""
 
 
 class Collector(Protocol):
@@ -200,8 +198,4 @@ class Collector(Protocol):
         """Add ``missing[domain][task]`` successful demonstrations to the file at ``path``, atomically."""
 
     def check(self, path: Path) -> None:
-        """Refuse a file whose demonstrations this collector would have made otherwise.
-
-        Raises:
-            UserError: If it would.
-        """
+        """Refuse, by a :class:`UserError`, a file whose demonstrations this collector would have made otherwise."""

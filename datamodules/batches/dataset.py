@@ -20,7 +20,7 @@ MOST_IMAGE_BYTES = 16 * 2**20  # Of images that are looked at together, outside 
 
 @dataclass(frozen=True)
 class StoredObservation:
-    """What the policy may see before all N steps, then the L last observations that are known."""
+    """Observations before all N steps, then the L last observations that are known."""
 
     state: Tensor  # ``(N + L, O)`` float32
     image: Images | None  # ``(N + L, H, W, C)`` uint8, in memory or not; None without a camera or a use for it
@@ -29,7 +29,7 @@ class StoredObservation:
         return len(self.state)
 
     def take(self, rows: Any) -> Observation[Tensor]:
-        """The observations at ``rows``, an index array or tensor, or a slice."""
+        """The observations ``(B, …)`` at ``rows``, an index array or tensor ``(B,)``, or a slice."""
         return Observation(self.state[rows], None if self.image is None else self.image[rows])
 
 
@@ -74,18 +74,17 @@ class DomainDataset:
         return 1 - to_go / torch.from_numpy(np.repeat(length - 1, length)).clamp(min=1)
 
     def without_images(self) -> DomainDataset:
-        """The same for those who don't look: nothing is read from the file for them."""
+        """The same states ``(N + L, O)`` without images: nothing is read from the file for them."""
         return replace(self, observation=replace(self.observation, image=None))
 
     def pieces(self) -> Iterator[Tensor]:
-        """All values, one after the other, in pieces that fit into memory."""
+        """All values, one after the other, in pieces ``(n, …)`` that fit into memory."""
         yield from (self.observation.state, self.action, self.task)
         if len(self.observation) > len(self):  # or else data without last observations would seem to have changed
             yield self.next_row
         if self.observation.image is not None:
-            rows = len(self.observation)
-            step = self.rows_at_a_time(rows)
-            yield from (self.observation.image[i : i + step] for i in range(0, rows, step))
+            step = self.rows_at_a_time(len(self.observation))
+            yield from (self.observation.image[i : i + step] for i in range(0, len(self.observation), step))
 
     def rows_at_a_time(self, most: int) -> int:
         """``most``, or fewer steps if so many images would take up too much memory."""
@@ -93,15 +92,15 @@ class DomainDataset:
         return most if image is None else max(1, min(most, MOST_IMAGE_BYTES // math.prod(image.shape)))
 
     def episodes_of(self, tasks: np.ndarray) -> np.ndarray:
-        """Ids of the trajectories of ``tasks``, in order."""
+        """Ids ``(n,)`` of the trajectories of ``tasks (K,)``, in order."""
         return np.flatnonzero(np.isin(self.episode_task, tasks))
 
     def episode_of(self, rows: np.ndarray) -> np.ndarray:
-        """Trajectory id of each row."""
+        """Trajectory ids ``(B,)`` of ``rows (B,)``."""
         return np.searchsorted(self.offset, rows, side="right") - 1
 
     def rows_of(self, episodes: np.ndarray) -> np.ndarray:
-        """Rows of the given trajectories, end to end."""
+        """Rows ``(n,)`` of the trajectories ``(P,)``, end to end."""
         lengths = self.offset[episodes + 1] - self.offset[episodes]
         starts = np.repeat(self.offset[episodes] - np.cumsum(lengths) + lengths, lengths)
         rows: np.ndarray = starts + np.arange(lengths.sum())
@@ -118,13 +117,14 @@ def build_dataset(
     episode_seed: np.ndarray,
     last: np.ndarray,
 ) -> DomainDataset:
-    """Wrap the arrays of a trajectory file; the tensors share their memory."""
-    observation = StoredObservation(torch.from_numpy(state), image)
-    tasks = episode_task.astype(np.int64)
-    task = torch.from_numpy(np.repeat(tasks, np.diff(offset)))
-    next_row = np.arange(1, len(actions) + 1)
+    """Wrap the arrays of a trajectory file, shaped as in :class:`DomainDataset`; the tensors share their memory.
+
+    ``last (E,)`` are the rows of the episodes' last observations in state and image, -1 where nobody knows them.
+    """
+    tasks, next_row = episode_task.astype(np.int64), np.arange(1, len(actions) + 1)
     next_row[offset[1:] - 1] = last
-    action, following = torch.from_numpy(actions), torch.from_numpy(next_row)
+    action, task, following = map(torch.from_numpy, (actions, np.repeat(tasks, np.diff(offset)), next_row))
+    observation = StoredObservation(torch.from_numpy(state), image)
     return DomainDataset(spec, observation, action, task, offset, tasks, episode_seed, following)
 
 
@@ -133,8 +133,8 @@ def thin_out(dataset: DomainDataset, episodes: np.ndarray, phase: np.ndarray, st
 
     Args:
         dataset: The domain's steps.
-        episodes: ``(P,)`` trajectory ids.
-        phase: ``(P,)`` in [0, 1), where in the first stride to begin.
+        episodes: Trajectory ids ``(P,)``.
+        phase: Places ``(P,)`` in [0, 1) to begin at in the first stride.
         stride: Distance of the kept frames, in steps; shortened for trajectories that are not longer.
     """
     start, length = dataset.offset[episodes], np.diff(dataset.offset)[episodes]

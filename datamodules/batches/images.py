@@ -16,23 +16,25 @@ GIBIBYTE = 2**30
 
 
 class ImageFile:
-    """Images of one domain that stay in their file; asked for rows as a tensor would be.
+    """Images ``(N + L, H, W, C)`` of one domain that stay in their file; asked for rows as a tensor would be.
 
     The file is read in its own compressed blocks. Blocks that were read are kept until ``kept_bytes`` are spent,
     and then for good: rows come in random order, so no block is likelier than another to be asked for next.
 
     Args:
-        file: Where the images are; it may have been closed.
-        domain: Whose images.
-        episodes: Which episodes, in order; their steps are the rows, then their last observations, as far as known.
-        kept_bytes: How much of the images may be held in memory.
+        file: File of the images; it may have been closed.
+        domain: Domain of the images.
+        episodes: Numbers ``(E,)`` of episodes; their steps are the rows, then their last observations, as far as known.
+        kept_bytes: Bytes of the images that may be held in memory.
     """
 
     def __init__(self, file: TrajectoryFile, domain: str, episodes: np.ndarray, kept_bytes: int) -> None:
         self.file, self.domain, self.kept_bytes = file, domain, kept_bytes
         self.place = file.rows(domain, episodes)
         self.block_length = file.image_block(domain)
-        self.shape = (len(self.place), *_image_shape(file, domain))
+        key = file.spec(domain).image_key
+        assert key is not None, f"domain {domain!r} has no camera"
+        self.shape = (len(self.place), *key.shape)
         self.blocks: dict[int, np.ndarray] = {}
         self.held_bytes = 0
 
@@ -65,15 +67,16 @@ Images = Tensor | ImageFile
 
 
 def stored_images(file: TrajectoryFile, episodes: Mapping[str, np.ndarray], memory: float) -> dict[str, Images]:
-    """Images of chosen episodes, by domain; domains without a camera are left out.
+    """Images ``(N + L, H, W, C)`` of chosen episodes, by domain; domains without a camera are left out.
 
     Args:
-        file: Where they are.
-        episodes: Numbers of the chosen episodes in their file, by domain.
+        file: File of the images.
+        episodes: Numbers ``(E,)`` of the chosen episodes in their file, by domain.
         memory: GiB that the images of all domains together may take; if they need more, they stay in the file,
             and as much of them is kept once it was read.
     """
-    sizes = {domain: _image_bytes(file, domain, chosen) for domain, chosen in episodes.items()}
+    keys = {domain: file.spec(domain).image_key for domain in episodes}
+    sizes = {d: len(file.rows(d, episodes[d])) * math.prod(key.shape) for d, key in keys.items() if key}
     needed, budget = sum(sizes.values()), int(memory * GIBIBYTE)
     found: dict[str, Images] = {}
     for domain, size in sizes.items():
@@ -82,15 +85,3 @@ def stored_images(file: TrajectoryFile, episodes: Mapping[str, np.ndarray], memo
         elif size:
             found[domain] = ImageFile(file, domain, episodes[domain], budget * size // needed)
     return found
-
-
-def _image_bytes(file: TrajectoryFile, domain: str, episodes: np.ndarray) -> int:
-    if file.spec(domain).image_key is None:
-        return 0
-    return len(file.rows(domain, episodes)) * math.prod(_image_shape(file, domain))
-
-
-def _image_shape(file: TrajectoryFile, domain: str) -> tuple[int, ...]:
-    key = file.spec(domain).image_key
-    assert key is not None, f"domain {domain!r} has no camera"
-    return key.shape

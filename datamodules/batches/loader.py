@@ -20,21 +20,20 @@ def _take(dataset: DomainDataset, rows: np.ndarray, batch_spec: BatchSpec) -> St
 
 
 class Order(Protocol):
-    """Which rows make up each step of an epoch."""
+    """Rows of each step of an epoch."""
 
     steps: int
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
-        """Rows by domain for every step."""
-        ...
+        """Rows ``(B,)`` by domain for every step."""
 
 
 class PairSource:
     """Trajectory pairs of a step, thinned out.
 
     Args:
-        datasets: By domain.
-        order: Which pairs.
+        datasets: Steps by domain.
+        order: The pairs of each step.
         stride: One of so many frames is kept.
     """
 
@@ -42,12 +41,10 @@ class PairSource:
         self.datasets, self.order, self.stride = datasets, order, stride
 
     def __call__(self, epoch: int, step: int) -> dict[str, PackedTrajectories]:
-        """The two domains' sequences for one step."""
-        draw = self.order.step(epoch, step)
-        return {
-            domain: thin_out(self.datasets[domain], draw.episodes[i], draw.phase, self.stride)
-            for i, domain in enumerate(draw.domains)
-        }
+        """The two domains' trajectories for one step, frames ``(F, …)`` of each."""
+        domains, episodes, phase = self.order.step(epoch, step)
+        parts = zip(domains, episodes, strict=True)
+        return {domain: thin_out(self.datasets[domain], ids, phase, self.stride) for domain, ids in parts}
 
 
 class Loader:
@@ -57,10 +54,10 @@ class Loader:
     trained on says where to go on after it.
 
     Args:
-        datasets: By domain.
+        datasets: Steps by domain.
         order: Rows of each step.
         pairs: Trajectory pairs of a step; None if no loss asks for them.
-        batch_spec: What steps shall hold.
+        batch_spec: Contents of steps.
     """
 
     def __init__(
@@ -74,7 +71,6 @@ class Loader:
         self._next_epoch, self._next_step = 0, 0
 
     def __len__(self) -> int:
-        """Steps in an epoch."""
         return self.order.steps
 
     def __iter__(self) -> Iterator[Batch]:
@@ -100,10 +96,10 @@ class FixedBatches:
     """Held-out steps in order, a domain after the other; the same batches at every pass.
 
     Args:
-        datasets: By domain.
-        rows: Rows of each domain.
+        datasets: Steps by domain.
+        rows: Rows ``(n,)`` of each domain.
         batch_size: Steps in a batch.
-        batch_spec: What steps shall hold.
+        batch_spec: Contents of steps.
     """
 
     def __init__(
@@ -117,11 +113,9 @@ class FixedBatches:
         self.chunks = [(d, r[i : i + batch_size]) for d, r in rows.items() for i in range(0, len(r), batch_size)]
 
     def __len__(self) -> int:
-        """Number of batches."""
         return len(self.chunks)
 
     def __iter__(self) -> Iterator[Batch]:
-        """One domain's steps at a time."""
         for domain, rows in self.chunks:
             yield Batch({domain: _take(self.datasets[domain], rows, self.batch_spec)}, {})
 
@@ -130,8 +124,8 @@ class FixedPairs:
     """Each trajectory of a domain once, whole, beside one of its task in another domain; the same at every pass.
 
     Args:
-        datasets: By domain.
-        episodes: ``episodes[domain][task]`` are trajectory ids in two domains. Those of the second come once each;
+        datasets: Steps by domain.
+        episodes: Trajectory ids ``episodes[domain][task] (n,)`` in two domains. Those of the second come once each;
             those of the first take turns beside them. Tasks that the first lacks are left out.
         count: Pairs in a batch.
     """
@@ -147,11 +141,9 @@ class FixedPairs:
         self.chunks = [pairs[:, i : i + count] for i in range(0, pairs.shape[1], count)]
 
     def __len__(self) -> int:
-        """Number of batches."""
         return len(self.chunks)
 
     def __iter__(self) -> Iterator[Batch]:
-        """Pairs alone."""
         for chunk in self.chunks:
             phase = np.zeros(chunk.shape[1])
             parts = zip(self.domains, chunk, strict=True)

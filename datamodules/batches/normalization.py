@@ -34,7 +34,7 @@ class Statistics:
 
     @classmethod
     def identity(cls, size: int) -> Statistics:
-        """Zero mean and unit deviation: a place holder until a checkpoint brings the fitted values."""
+        """Zero mean and unit deviation ``(O,)``: a place holder until a checkpoint brings the fitted values."""
         return cls(np.zeros(size), np.ones(size))
 
 
@@ -48,12 +48,12 @@ class Affine:
 
     @classmethod
     def build(cls, spec: DomainSpec, statistics: Statistics, scaling: Mapping[str, Scaling]) -> Affine:
-        """What a domain's columns are put through.
+        """Scale the columns ``(O,)`` of a domain's states.
 
         Args:
             spec: The domain.
-            statistics: Of its raw states.
-            scaling: By observation key; ``default`` serves the keys that are not named.
+            statistics: Statistics ``(O,)`` of its raw states.
+            scaling: Scaling by observation key; ``default`` serves the keys that are not named.
 
         Raises:
             ConfigError: If ``scaling`` holds a word that is no scaling.
@@ -65,14 +65,11 @@ class Affine:
                 continue
             offset[columns] = statistics.mean[columns]
             if kind == "zscore":
-                scale[columns], limit[columns] = 1 / _floored(statistics.std[columns]), CLIP
+                # A column that never changes keeps its raw unit instead of being blown up.
+                std = statistics.std[columns]
+                scale[columns], limit[columns] = 1 / np.where(std < 1e-6, 1.0, std), CLIP
             elif isinstance(kind, int | float):
                 scale[columns] = kind
             else:
                 raise ConfigError(f"scaling of {key.name!r} is {kind!r}; expected 'zscore', 'none' or a number")
         return cls(offset, scale, limit)
-
-
-def _floored(std: np.ndarray) -> np.ndarray:
-    """A column that never changes keeps its raw unit instead of being blown up."""
-    return np.where(std < 1e-6, 1.0, std)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from datamodules.streams import Stream, generator
 
+Rows: TypeAlias = Mapping[str, np.ndarray]
+"""Rows ``(N,)`` to draw from, by domain."""
+
 
 def shuffled(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """``count`` of ``rows``, each once before any comes again."""
+    """Draw ``count`` of ``rows (N,)``, each once before any comes again."""
     rounds = max(1, -(-count // len(rows)))
     drawn: np.ndarray = np.concatenate([rng.permutation(rows) for _ in range(rounds)])[:count]
     return drawn
@@ -24,12 +28,12 @@ class AlignmentOrder:
     batches are drawn from all demonstrations.
 
     Args:
-        rows: Rows to draw from, by domain.
+        rows: Rows ``(N,)`` to draw from, by domain.
         batch_size: Steps in a batch, all domains together.
         seed: Seed of the run.
     """
 
-    def __init__(self, rows: Mapping[str, np.ndarray], batch_size: int, seed: int) -> None:
+    def __init__(self, rows: Rows, batch_size: int, seed: int) -> None:
         self.rows, self.seed = rows, seed
         self.share = max(1, batch_size // len(rows))
         self.steps = -(-sum(len(r) for r in rows.values()) // (self.share * len(rows)))
@@ -41,13 +45,11 @@ class AlignmentOrder:
 
     def _drawn(self, epoch: int) -> dict[str, np.ndarray]:
         """Rows ``(steps, share)`` by domain."""
-        count = self.steps * self.share
-        return {
-            domain: shuffled(rows, count, generator(Stream.ALIGNMENT_ROWS, self.seed, epoch, i)).reshape(
-                self.steps, self.share
-            )
-            for i, (domain, rows) in enumerate(self.rows.items())
-        }
+        drawn = {}
+        for i, (domain, rows) in enumerate(self.rows.items()):
+            rng = generator(Stream.ALIGNMENT_ROWS, self.seed, epoch, i)
+            drawn[domain] = shuffled(rows, self.steps * self.share, rng).reshape(self.steps, self.share)
+        return drawn
 
 
 class TaskwiseOrder(AlignmentOrder):
@@ -56,20 +58,15 @@ class TaskwiseOrder(AlignmentOrder):
     A task comes as often as its share of the demonstrations, at most once in a batch.
 
     Args:
-        rows: Rows to draw from, by domain.
-        tasks: Task of each of these rows, by domain. In a domain without a task's rows any row may take their place.
+        rows: Rows ``(N,)`` to draw from, by domain.
+        tasks: Tasks ``(N,)`` of these rows, by domain. In a domain without a task's rows any row may take their place.
         tasks_per_batch: So many tasks in a batch; all of them if there are fewer.
         batch_size: Steps in a batch, all domains together.
         seed: Seed of the run.
     """
 
     def __init__(
-        self,
-        rows: Mapping[str, np.ndarray],
-        tasks: Mapping[str, np.ndarray],
-        tasks_per_batch: int,
-        batch_size: int,
-        seed: int,
+        self, rows: Rows, tasks: Mapping[str, np.ndarray], tasks_per_batch: int, batch_size: int, seed: int
     ) -> None:
         super().__init__(rows, batch_size, seed)
         self.known = np.unique(np.concatenate([*tasks.values()]))
@@ -113,7 +110,7 @@ class NoSteps:
         self.steps = steps
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
-        """No rows, ``steps`` times."""
+        """No rows ``(0,)`` in any domain, ``steps`` times."""
         return [{} for _ in range(self.steps)]
 
 
@@ -121,8 +118,8 @@ class MixOrder:
     """Steps of the adaptation phase: all of the target task's data, and alignment data anew each epoch.
 
     Args:
-        target: Rows of the new task's demonstrations, by domain.
-        pool: Rows of the alignment data, by domain.
+        target: Rows ``(N,)`` of the new task's demonstrations, by domain.
+        pool: Rows ``(M,)`` of the alignment data, by domain.
         ratio: Alignment steps for each target step ("mix": the paper's 2× or 1×).
         batch_size: Steps in a batch; the last batch of an epoch may be smaller.
         seed: Seed of the run.
@@ -137,16 +134,16 @@ class MixOrder:
         self.batch_size, self.seed = batch_size, seed
         self.steps = -(-(len(self.target) + self.mixed) // batch_size)
 
-    def _flat(self, rows: Mapping[str, np.ndarray]) -> np.ndarray:
+    def _flat(self, rows: Rows) -> np.ndarray:
         """``(N, 2)``: domain index and row."""
         parts = [np.stack([np.full_like(r, self.domains.index(d)), r], axis=1) for d, r in rows.items()]
         return np.concatenate(parts) if parts else np.zeros((0, 2), dtype=np.int64)
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
-        """Rows by domain, for each step of the epoch; a domain without rows is left out."""
+        """Rows ``(B,)`` by domain, for each step of the epoch; a domain without rows is left out."""
         rng = generator(Stream.MIX, self.seed, epoch)
-        chosen = shuffled(np.arange(len(self.pool)), self.mixed, rng) if self.mixed else np.zeros(0, dtype=np.int64)
-        drawn = rng.permutation(np.concatenate([self.target, self.pool[chosen]]))
+        mixed = [self.pool[shuffled(np.arange(len(self.pool)), self.mixed, rng)]] if self.mixed else []
+        drawn = rng.permutation(np.concatenate([self.target, *mixed]))
         return [self._by_domain(drawn[i : i + self.batch_size]) for i in range(0, len(drawn), self.batch_size)]
 
     def _by_domain(self, drawn: np.ndarray) -> dict[str, np.ndarray]:
@@ -167,18 +164,17 @@ class PairOrder:
     """Trajectory pairs for temporal cycle-consistency, a batch for each training step.
 
     Args:
-        episodes: ``episodes[domain][task]`` are trajectory ids; tasks lacking in a domain are not drawn.
-        count: Pairs in a batch (P).
+        episodes: Trajectory ids ``episodes[domain][task] (n,)``; tasks lacking in a domain are not drawn.
+        count: Pairs in a batch, P.
         seed: Seed of the run.
     """
 
     def __init__(self, episodes: Mapping[str, Mapping[int, np.ndarray]], count: int, seed: int) -> None:
         self.episodes, self.count, self.seed = episodes, count, seed
-        names = list(episodes)
-        self.domain_pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+        self.domain_pairs = list(itertools.combinations(episodes, 2))
 
     def step(self, epoch: int, step: int) -> PairDraw:
-        """The pairs of one step; with more than two domains the pairs of domains take turns."""
+        """Pairs ``(2, P)`` of one step; with more than two domains the pairs of domains take turns."""
         first, second = self.domain_pairs[step % len(self.domain_pairs)]
         rng = generator(Stream.PAIRS, self.seed, epoch, step)
         common = sorted(set(self.episodes[first]) & set(self.episodes[second]))
@@ -187,6 +183,5 @@ class PairOrder:
         return PairDraw((first, second), drawn, rng.random(self.count))
 
     def _pick(self, domain: str, tasks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        pools = [self.episodes[domain][task] for task in tasks]
-        spot = rng.random(len(pools))
-        return np.array([pool[int(u * len(pool))] for pool, u in zip(pools, spot, strict=True)])
+        pools = (self.episodes[domain][task] for task in tasks)
+        return np.array([pool[int(u * len(pool))] for pool, u in zip(pools, rng.random(len(tasks)), strict=True)])

@@ -42,7 +42,7 @@ class Segment(NamedTuple):
 
 
 def read_walk(path: Path) -> Walk:
-    """Read a ``maze2d`` file; no other array in it than those of :class:`Walk` is looked into.
+    """Read a ``maze2d`` file of N steps: states ``(N, 4)``, actions ``(N, 2)``, goals ``(N, 2)``, nothing else.
 
     Raises:
         TrajectoryFileError: If the file is missing, damaged or can do harm, lacks an array, has one of another shape,
@@ -55,15 +55,13 @@ def read_walk(path: Path) -> Walk:
             _refuse(path, f"{steps} steps in actions", f"1 to {MAX_STEPS}")
         floats = {"observations": 4, "actions": 2, "infos/goal": 2}
         states, actions, goals = (_floats(file, name, (steps, size), path) for name, size in floats.items())
-        moved = [
-            _floats(file, f"infos/{name}", (steps, 2), path) for name in ("qpos", "qvel") if f"infos/{name}" in file
-        ]
+        moved = [_floats(file, name, (steps, 2), path) for name in ("infos/qpos", "infos/qvel") if name in file]
         places = np.concatenate(moved, axis=1) if len(moved) == 2 else states
         return Walk(states, actions, goals, _flags(file, "timeouts", (steps,), path), places)
 
 
 def split_walk(walk: Walk) -> list[Segment]:
-    """Cut a walk after each step that ends the way to a goal, by ``timeouts`` or because the next goal is another.
+    """Cut a walk ``(N, …)`` after each step that ends the way to a goal, by ``timeouts`` or as the goal changes.
 
     When a goal is reached the generating script records the same observation once more, with an action for the new
     goal; a piece therefore begins after a first step that repeats the one before it. Where the last action of the
@@ -88,10 +86,7 @@ def _led_to(walk: Walk, row: int) -> np.ndarray:
 
 
 def _floats(file: h5py.File, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    array = _array(file, name, path)
-    if array.shape != shape or array.dtype.kind != "f":
-        _refuse(path, f"{name} of shape {array.shape}, type {array.dtype}", f"shape {shape}, floating-point numbers")
-    values: np.ndarray = array.astype(np.float32)[()]
+    values: np.ndarray = _array(file, name, path, shape, "f", "floating-point numbers").astype(np.float32)[()]
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         _refuse(path, f"a value that is not finite in {name}, step {bad[0]}", "finite values")
@@ -101,14 +96,13 @@ def _floats(file: h5py.File, name: str, shape: tuple[int, ...], path: Path) -> n
 def _flags(file: h5py.File, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
     if name not in file:
         return np.zeros(shape, dtype=bool)
-    array = _array(file, name, path)
-    if array.shape != shape or array.dtype.kind not in "biu":
-        _refuse(path, f"{name} of shape {array.shape}, type {array.dtype}", f"shape {shape}, true or false")
-    values: np.ndarray = array[()].astype(bool)
+    values: np.ndarray = _array(file, name, path, shape, "biu", "true or false")[()].astype(bool)
     return values
 
 
-def _array(file: h5py.File, name: str, path: Path) -> h5py.Dataset:
+def _array(
+    file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None, kinds: str = "", told: str = ""
+) -> h5py.Dataset:
     array = file.get(name)
     if not isinstance(array, h5py.Dataset):
         _refuse(path, f"no array {name}", "D4RL's maze2d arrays: observations, actions, infos/goal")
@@ -116,6 +110,8 @@ def _array(file: h5py.File, name: str, path: Path) -> h5py.Dataset:
     block = math.prod(array.chunks or (1,)) * array.dtype.itemsize
     if block > UNSUSPICIOUS_BYTES:
         _refuse(path, f"{name} in blocks of {block / 2**20:.0f} MiB", f"at most {UNSUSPICIOUS_BYTES / 2**20:.0f} MiB")
+    if shape is not None and (array.shape != shape or array.dtype.kind not in kinds):
+        _refuse(path, f"{name} of shape {array.shape}, type {array.dtype}", f"shape {shape}, {told}")
     return array
 
 

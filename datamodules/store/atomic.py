@@ -24,13 +24,10 @@ def locked_folder(folder: Path) -> Iterator[int]:
     Yields:
         A descriptor of the folder.
     """
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
+    with _opened(folder) as descriptor:
         with contextlib.suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield descriptor
-    finally:
-        os.close(descriptor)
 
 
 @contextmanager
@@ -50,16 +47,26 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
         yield temporary
-        _sync(temporary)
+        with _opened(temporary) as written:
+            os.fsync(written)
         os.replace(temporary, path)
-        _sync(path.parent)
+        with _opened(path.parent) as folder:
+            os.fsync(folder)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _sync(path: Path) -> None:
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file in one visible step; its folder has to exist."""
+    path = path.resolve()
+    with locked_folder(path.parent), replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[int]:
     descriptor = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        yield descriptor
     finally:
         os.close(descriptor)

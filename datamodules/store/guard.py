@@ -37,17 +37,13 @@ _LOW_LEVEL = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeE
 
 
 def is_name(name: str) -> bool:
-    """Whether ``name`` may stand in a file: 1 to 64 of letters, digits, ``_``, ``.`` and ``-``; not ``.`` or ``..``."""
+    """Allow names of 1 to 64 letters, digits, ``_``, ``.`` and ``-`` in files, but not ``.`` and ``..``."""
     return NAME.fullmatch(name) is not None
 
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turn whatever HDF5 raises on a damaged file into one line that names the file.
-
-    Raises:
-        TrajectoryFileError: If the block fails to read ``path``.
-    """
+    """Turn whatever HDF5 raises on a damaged file into a :class:`TrajectoryFileError` that names the file."""
     try:
         yield
     except (*_LOW_LEVEL, MemoryError) as error:
@@ -92,10 +88,8 @@ def check_objects(file: h5py.File, path: Path) -> list[str]:
         path: Its path, for messages.
 
     Returns:
-        Paths of all arrays, such as ``/domains/ant/actions``.
-
-    Raises:
-        TrajectoryFileError: At the first object that is not plain.
+        Paths of all arrays, such as ``/domains/ant/actions``; a :class:`TrajectoryFileError` tells of the first object
+        that is not plain.
     """
     seen = {_address(file)}
     arrays: list[str] = []

@@ -6,25 +6,21 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import h5py
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError, UserError
+from datamodules.store import schema
 from datamodules.store.guard import open_guarded, readable
-from datamodules.store.schema import (
-    Header,
-    array_paths,
-    check_identity,
-    episode_columns,
-    read_hashes,
-    read_header,
-    stored_digest,
-)
 from datamodules.types import DomainSpec, Observation, Trajectory
 
 FAR_APART = 8  # Times as many rows as are asked for that one read may span
+
+
+Chosen: TypeAlias = "Sequence[int] | np.ndarray | None"
+"""Numbers ``(E,)`` of episodes in any order; None for all."""
 
 
 class EpisodeTable(NamedTuple):
@@ -58,16 +54,16 @@ class TrajectoryFile:
 
     The object may be pickled and used in other processes, forked or not: each opens the file for itself
     when it first reads. Use :meth:`open`, and the object as a context manager.
+
+    Raises:
+        UserError: If a method is asked for a domain, an episode or a camera that the file lacks.
+        TrajectoryFileError: If the file turns out to be damaged.
     """
 
-    def __init__(self, path: Path, file: h5py.File, header: Header) -> None:
-        """Take over ``file``; :meth:`open` is the way to call this."""
-        self.path = path
-        self.tasks: tuple[str, ...] = header.tasks
-        self.domains: tuple[DomainSpec, ...] = header.domains
-        self.provenance: dict[str, Any] = header.provenance
-        self.version = header.version
-        self.hashes = read_hashes(file)
+    def __init__(self, path: Path, file: h5py.File, header: schema.Header) -> None:
+        self.path, self.hashes = path, schema.read_hashes(file)
+        self.tasks, self.domains = header.tasks, header.domains
+        self.provenance, self.version = header.provenance, header.version
         self._file: h5py.File | None = file
         self._owner = os.getpid()
         self._tables: dict[str, EpisodeTable] = {}
@@ -78,9 +74,6 @@ class TrajectoryFile:
 
         The values of the arrays are not checked: see :func:`verify_hashes`.
 
-        Args:
-            path: A trajectory file.
-
         Raises:
             TrajectoryFileError: If it is missing, damaged, hostile, unfinished or of another format or version.
         """
@@ -88,8 +81,8 @@ class TrajectoryFile:
         file = open_guarded(path)
         try:
             with readable(path):
-                check_identity(file, path)
-                return cls(path, file, read_header(file, path))
+                schema.check_identity(file, path)
+                return cls(path, file, schema.read_header(file, path))
         except BaseException:
             file.close()
             raise
@@ -112,11 +105,7 @@ class TrajectoryFile:
         self._file = None
 
     def spec(self, domain: str) -> DomainSpec:
-        """The spec of a domain.
-
-        Raises:
-            UserError: If the file has no such domain.
-        """
+        """Look up the spec of a domain; a :class:`UserError` names those that the file has."""
         specs = {spec.name: spec for spec in self.domains}
         if domain not in specs:
             raise UserError(f"{self.path}: no domain {domain!r}; it has: {', '.join(specs)}")
@@ -128,73 +117,47 @@ class TrajectoryFile:
         return {name: {task: int((table == task).sum()) for task in self.tasks} for name, table in tables.items()}
 
     def episodes(self, domain: str) -> EpisodeTable:
-        """The episode table of a domain.
-
-        Raises:
-            UserError: If the file has no such domain.
-        """
+        """Episode table of a domain, each column ``(E,)`` but the offsets ``(E + 1,)``; read once."""
         if domain not in self._tables:
-            self.spec(domain)
-            group = f"/domains/{domain}/episodes"
-            offset, task, *others = (self._array(f"{group}/{name}")[()] for name in episode_columns(self.version))
-            unknown = () if "last" in episode_columns(self.version) else (np.full(len(task), -1),)
+            group, columns = f"/domains/{self.spec(domain).name}/episodes", schema.episode_columns(self.version)
+            offset, task, *others = (self._array(f"{group}/{name}")[()] for name in columns)
+            unknown = () if "last" in columns else (np.full(len(task), -1),)
             self._tables[domain] = EpisodeTable(offset, np.array(self.tasks, np.str_)[task], *others, *unknown)
         return self._tables[domain]
 
-    def read(
-        self, domain: str, episodes: Sequence[int] | np.ndarray | None = None, images: bool = True
-    ) -> DomainArrays:
-        """Read episodes of a domain into memory.
+    def read(self, domain: str, episodes: Chosen = None, images: bool = True) -> DomainArrays:
+        """Read episodes of a domain into memory, N steps and L last observations.
 
         Args:
             domain: Name of the domain.
-            episodes: ``(E,)`` episode numbers in any order; None for all.
-            images: Whether to read images, if the domain has a camera.
-
-        Raises:
-            UserError: If the file has no such domain or episode.
-            TrajectoryFileError: If the file turns out to be damaged.
+            episodes: Numbers ``(E,)`` of episodes in any order; None for all.
+            images: Whether to read images ``(N + L, H, W, C)``, if the domain has a camera.
         """
         spec, table = self.spec(domain), self.episodes(domain)
         chosen, rows = self._chosen(domain, episodes), self.rows(domain, episodes)
         offset = np.concatenate([[0], np.cumsum(np.diff(table.offset)[chosen])]).astype(np.int64)
         known = table.last[chosen] >= 0
         last = np.where(known, offset[-1] + np.cumsum(known) - 1, -1)
-        group = f"/domains/{domain}"
-        columns = [self._gather(f"{group}/obs/{key.name}", rows) for key in spec.state_keys]
+        columns = [self._gather(f"/domains/{domain}/obs/{key.name}", rows) for key in spec.state_keys]
         state = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
         image = self.images(domain, episodes) if images and spec.image_key else None
-        actions = self._gather(f"{group}/actions", rows[: offset[-1]])
+        actions = self._gather(f"/domains/{domain}/actions", rows[: offset[-1]])
         return DomainArrays(state, image, actions, offset, table.task[chosen], last)
 
-    def rows(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """``(N + L,)`` int64: where the steps of episodes are in the domain's arrays, then their last observations.
-
-        Raises:
-            UserError: If the file has no such domain or episode.
-        """
+    def rows(self, domain: str, episodes: Chosen = None) -> np.ndarray:
+        """Rows ``(N + L,)`` int64 of episodes in the domain's arrays: all their steps, then their last observations."""
         offset, chosen = self.episodes(domain).offset, self._chosen(domain, episodes)
         lengths = np.diff(offset)[chosen]
         starts = offset[chosen] - np.cumsum(lengths) + lengths
         last = self.episodes(domain).last[chosen]
         return np.concatenate([np.repeat(starts, lengths) + np.arange(lengths.sum()), last[last >= 0]])
 
-    def images(self, domain: str, episodes: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Images of episodes ``(N + L, H, W, C)`` uint8, end to end, then those seen last, as far as known.
-
-        Raises:
-            UserError: If the file has no such domain or episode, or the domain has no camera.
-            TrajectoryFileError: If the file turns out to be damaged.
-        """
+    def images(self, domain: str, episodes: Chosen = None) -> np.ndarray:
+        """Images of episodes ``(N + L, H, W, C)`` uint8, end to end, then those seen last, as far as known."""
         return self._stream(self._camera(domain), self.rows(domain, episodes))
 
     def image_range(self, domain: str, start: int, stop: int) -> np.ndarray:
-        """Images of the rows ``start`` to ``stop`` (or the end) of a domain's observations, ``(n, H, W, C)`` uint8.
-
-        Raises:
-            UserError: If the domain has no camera.
-            TrajectoryFileError: If the file turns out to be damaged.
-        """
+        """Images of the rows ``start`` to ``stop`` (or the end) of a domain's observations, ``(n, H, W, C)`` uint8."""
         camera = self._camera(domain)
         return self._stream(camera, np.arange(start, min(stop, len(self._array(camera)))))
 
@@ -204,19 +167,15 @@ class TrajectoryFile:
         return 1 if chunks is None else int(chunks[0])
 
     def trajectory(self, domain: str, episode: int) -> Trajectory:
-        """Read one demonstration.
-
-        Raises:
-            UserError: If the file has no such domain or episode.
-        """
+        """Read one demonstration: states ``(T + 1, O)``, actions ``(T, A)``."""
         table, arrays = self.episodes(domain), self.read(domain, [episode])
+        told = int(table.seed[episode]), bool(table.success[episode])
         observation = Observation(arrays.state, arrays.image)
-        seed, success = int(table.seed[episode]), bool(table.success[episode])
-        return Trajectory(domain, str(table.task[episode]), observation, arrays.actions, seed, success)
+        return Trajectory(domain, str(table.task[episode]), observation, arrays.actions, *told)
 
     def damaged(self) -> list[str]:
         """Paths of the arrays whose values differ from what the writer stored; reads the whole file."""
-        paths = [place for spec in self.domains for place in array_paths(spec, self.version)]
+        paths = [place for spec in self.domains for place in schema.array_paths(spec, self.version)]
         return [place for place in paths if self.hashes.get(place) != self._stored_digest(place)]
 
     def _camera(self, domain: str) -> str:
@@ -228,11 +187,11 @@ class TrajectoryFile:
     def _stored_digest(self, place: str) -> str:
         try:
             with readable(self.path):
-                return stored_digest(self._array(place))
+                return schema.stored_digest(self._array(place))
         except TrajectoryFileError:
             return "unreadable"
 
-    def _chosen(self, domain: str, episodes: Sequence[int] | np.ndarray | None) -> np.ndarray:
+    def _chosen(self, domain: str, episodes: Chosen) -> np.ndarray:
         count = len(self.episodes(domain).task)
         chosen = np.arange(count) if episodes is None else np.asarray(episodes, np.int64)
         if ((chosen < 0) | (chosen >= count)).any():
@@ -243,7 +202,7 @@ class TrajectoryFile:
         if self._file is None or self._owner != os.getpid():
             # A handle that came through a fork must not be used: https://github.com/pytorch/pytorch/issues/11929
             file = open_guarded(self.path)
-            if read_hashes(file) != self.hashes:
+            if schema.read_hashes(file) != self.hashes:
                 raise TrajectoryFileError(f"{self.path}: the file was replaced while in use; start again")
             self._file, self._owner = file, os.getpid()
         return self._file[place]
@@ -255,7 +214,7 @@ class TrajectoryFile:
         with readable(self.path):
             array = self._array(place)
             span: np.ndarray = array[rows.min() : rows.max() + 1]
-            return span if _is_range(rows) else span[rows - rows.min()]
+            return span if (np.diff(rows) == 1).all() else span[rows - rows.min()]
 
     def _stream(self, place: str, rows: np.ndarray) -> np.ndarray:
         """One read for each run of neighbouring rows: nothing that is not asked for is decompressed or held."""
@@ -270,10 +229,7 @@ class TrajectoryFile:
 
 
 def verify_hashes(path: Path | str) -> None:
-    """Read the whole file and compare every array with its hash.
-
-    Args:
-        path: A trajectory file.
+    """Read the whole trajectory file and compare every array with its hash.
 
     Raises:
         TrajectoryFileError: If the file cannot be opened or a value in it has changed since it was written.
@@ -283,7 +239,3 @@ def verify_hashes(path: Path | str) -> None:
     if damaged:
         found = f"values of {damaged[0]} that do not match their hash ({len(damaged)} arrays in all)"
         raise TrajectoryFileError(f"{path}: found {found}; expected what the writer stored: copy or collect it again")
-
-
-def _is_range(rows: np.ndarray) -> bool:
-    return bool((np.diff(rows) == 1).all())

@@ -1,7 +1,8 @@
-"""How demonstrations become the groups and arrays of a trajectory file."""
+"""Demonstrations → the groups and arrays of a trajectory file."""
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -36,11 +37,7 @@ class Episode(NamedTuple):
 
 
 def plain_json(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy as JSON gives it back.
-
-    Raises:
-        TrajectoryFileError: If JSON cannot hold it.
-    """
+    """Copy provenance as JSON gives it back; a :class:`TrajectoryFileError` says if JSON cannot hold it."""
     try:
         return cast("dict[str, Any]", json.loads(json.dumps(dict(provenance), allow_nan=False)))
     except (TypeError, ValueError) as error:
@@ -50,7 +47,7 @@ def plain_json(provenance: Mapping[str, Any]) -> dict[str, Any]:
 def episodes_by_domain(
     trajectories: Iterable[Trajectory], domains: Sequence[DomainSpec], tasks: Sequence[str]
 ) -> dict[str, list[Episode]]:
-    """Check demonstrations and group them by domain.
+    """Check demonstrations, states ``(T + 1, O)`` or ``(T, O)``, actions ``(T, A)``, and group them by domain.
 
     Raises:
         TrajectoryFileError: Naming the first domain, task, or demonstration (with seed and key) that cannot be stored.
@@ -72,13 +69,12 @@ def stored_episodes(file: TrajectoryFile, domain: str) -> list[Episode]:
     """The episodes that a file holds of a domain; none if it does not know the domain."""
     if domain not in {spec.name for spec in file.domains}:
         return []
-    table, arrays = file.episodes(domain), file.read(domain, images=False)
+    (offset, task, seed, success, last), arrays = file.episodes(domain), file.read(domain, images=False)
     episodes = []
-    for number, (start, stop, last) in enumerate(zip(table.offset[:-1], table.offset[1:], table.last, strict=True)):
-        name, seed, success = str(table.task[number]), int(table.seed[number]), bool(table.success[number])
-        rows, image = np.append(np.arange(start, stop), last), partial(_image, file, domain, number)
-        state = arrays.state[rows[rows >= 0]]
-        episodes.append(Episode(name, seed, success, state, arrays.actions[start:stop], image))
+    for number, (start, stop) in enumerate(itertools.pairwise(offset)):
+        rows, image = np.append(np.arange(start, stop), last[number]), partial(_image, file, domain, number)
+        told = str(task[number]), int(seed[number]), bool(success[number])
+        episodes.append(Episode(*told, arrays.state[rows[rows >= 0]], arrays.actions[start:stop], image))
     return episodes
 
 
@@ -86,9 +82,9 @@ def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episo
     """Write a file beside ``path``, read it back, and put it in its place; call it with the folder locked.
 
     Args:
-        path: Where the file shall be; what is there is replaced.
+        path: Place of the file; one that is there is replaced.
         header: Tasks, domains and provenance.
-        episodes: Episodes by domain, in any order.
+        episodes: Episodes by domain, in any order: states ``(T + 1, O)``, actions ``(T, A)``.
         compress: Whether to compress vectors too.
 
     Raises:
@@ -121,19 +117,18 @@ def _writable(path: Path) -> Iterator[None]:
 def _write_domain(
     file: h5py.File, spec: DomainSpec, tasks: Sequence[str], episodes: Sequence[Episode], compress: bool
 ) -> dict[str, str]:
-    offset = np.cumsum([0, *(len(episode.actions) for episode in episodes)], dtype=np.int64)
-    known = np.array([len(episode.state) > len(episode.actions) for episode in episodes], np.bool_)
+    offset = np.cumsum([0, *(len(e.actions) for e in episodes)], dtype=np.int64)
+    known = np.array([len(e.state) > len(e.actions) for e in episodes], np.bool_)
     seen = [*(e.state[: len(e.actions)] for e in episodes), *(e.state[len(e.actions) :] for e in episodes)]
     state = np.concatenate([np.empty((0, spec.state_size), np.float32), *seen])
-    arrays = {f"obs/{key.name}": state[:, spec.columns([key.name])] for key in spec.state_keys}
-    arrays["actions"] = np.concatenate(
-        [np.empty((0, spec.action_size), np.float32), *(episode.actions for episode in episodes)]
-    )
-    arrays["episodes/offset"] = offset
-    arrays["episodes/last"] = np.where(known, offset[-1] + np.cumsum(known) - 1, -1).astype(np.int64)
-    arrays["episodes/task_id"] = np.array([tasks.index(episode.task) for episode in episodes], np.int32)
-    arrays["episodes/seed"] = np.array([episode.seed for episode in episodes], np.int64)
-    arrays["episodes/success"] = np.array([episode.success for episode in episodes], np.bool_)
+    arrays = {f"obs/{key.name}": state[:, spec.columns([key.name])] for key in spec.state_keys} | {
+        "actions": np.concatenate([np.empty((0, spec.action_size), np.float32), *(e.actions for e in episodes)]),
+        "episodes/offset": offset,
+        "episodes/last": np.where(known, offset[-1] + np.cumsum(known) - 1, -1).astype(np.int64),
+        "episodes/task_id": np.array([tasks.index(e.task) for e in episodes], np.int32),
+        "episodes/seed": np.array([e.seed for e in episodes], np.int64),
+        "episodes/success": np.array([e.success for e in episodes], np.bool_),
+    }
     group = file[f"domains/{spec.name}"]
     hashes = {f"{group.name}/{name}": _write_array(group, name, array, compress) for name, array in arrays.items()}
     if spec.image_key is not None:
@@ -145,20 +140,21 @@ def _write_domain(
 
 
 def _write_array(group: h5py.Group, name: str, array: np.ndarray, compress: bool) -> str:
-    if compress and len(array):
-        chunk = (min(ROW_CHUNK, len(array)), *array.shape[1:])
-        group.create_dataset(name, data=array, chunks=chunk, compression="gzip", compression_opts=GZIP_LEVEL)
-    else:
-        group.create_dataset(name, data=array)
+    compression = _gzip(ROW_CHUNK, array.shape) if compress and len(array) else {}
+    group.create_dataset(name, data=array, **compression)
     return digest(array.dtype, array.shape, [array])
+
+
+def _gzip(rows: int, shape: tuple[int, ...]) -> dict[str, Any]:
+    chunk = (min(rows, shape[0]), *shape[1:])
+    return {"chunks": chunk, "compression": "gzip", "compression_opts": GZIP_LEVEL}
 
 
 def _write_images(group: h5py.Group, key: ObservationKey, rows: int, episodes: Sequence[Episode]) -> str:
     shape, name = (rows, *key.shape), f"obs/{key.name}"
     if not rows:
         return _write_array(group, name, np.empty(shape, np.uint8), False)
-    chunk = (min(IMAGE_CHUNK, rows), *key.shape)
-    array = group.create_dataset(name, shape, np.uint8, chunks=chunk, compression="gzip", compression_opts=GZIP_LEVEL)
+    array = group.create_dataset(name, shape, np.uint8, **_gzip(IMAGE_CHUNK, shape))
     return digest(array.dtype, shape, _written(array, episodes))
 
 

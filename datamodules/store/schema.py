@@ -1,7 +1,4 @@
-"""Format "plp-trajectories": what every object of a trajectory file is called, and whether a file keeps to it.
-
-The layout is described in ``docs/format.md``.
-"""
+"""Format "plp-trajectories" (``docs/format.md``): names of all objects in a file, and whether a file keeps to it."""
 
 from __future__ import annotations
 
@@ -36,7 +33,7 @@ _HASH_BLOCK_BYTES = 16 * 2**20
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says about itself, apart from its arrays."""
+    """All that a file holds beside arrays."""
 
     tasks: tuple[str, ...]
     domains: tuple[DomainSpec, ...]
@@ -57,18 +54,18 @@ def episode_columns(version: str) -> dict[str, type[np.generic]]:
 
 def array_paths(spec: DomainSpec, version: str) -> list[str]:
     """Absolute paths of all arrays of a domain."""
-    keys = (f"obs/{key.name}" for key in spec.observation)
-    below = ["actions", *keys, *(f"episodes/{name}" for name in episode_columns(version))]
+    keys, columns = (key.name for key in spec.observation), episode_columns(version)
+    below = ["actions", *(f"obs/{name}" for name in keys), *(f"episodes/{name}" for name in columns)]
     return [f"/domains/{spec.name}/{name}" for name in below]
 
 
 def digest(dtype: np.dtype[Any], shape: Sequence[int], blocks: Iterable[np.ndarray]) -> str:
-    """Sha256 of an array: its type, its shape and its bytes in C order.
+    """Sha256 of an array: its little-endian type, its shape ``(N, …)`` and its bytes in C order.
 
     Args:
-        dtype: Type of the array, little-endian.
+        dtype: Type of the array.
         shape: Shape of the whole array.
-        blocks: The array's rows in order, in pieces of any length.
+        blocks: The array's rows ``(n, …)`` in order, in pieces of any length.
     """
     sha = hashlib.sha256(f"{dtype.str}{list(shape)}".encode())
     for block in blocks:
@@ -77,7 +74,7 @@ def digest(dtype: np.dtype[Any], shape: Sequence[int], blocks: Iterable[np.ndarr
 
 
 def stored_digest(array: h5py.Dataset) -> str:
-    """:func:`digest` of an array in a file, read in pieces."""
+    """:func:`digest` of an array ``(N, …)`` in a file, read in pieces."""
     row_bytes = max(1, array.dtype.itemsize * math.prod(array.shape[1:]))
     step = max(8, _HASH_BLOCK_BYTES // row_bytes // 8 * 8)
     return digest(array.dtype, array.shape, (array[i : i + step] for i in range(0, array.shape[0], step)))
@@ -93,20 +90,15 @@ def check_spec(spec: DomainSpec, place: str) -> None:
     Raises:
         TrajectoryFileError: If a name, shape, size or rate is not allowed.
     """
-    names = [spec.name, *(key.name for key in spec.observation)]
-    bad = next((name for name in names if not is_name(name)), None)
-    if bad is not None:
-        _fail(place, f"name {bad!r}", "1 to 64 letters, digits, '_', '.', '-'")
-    if len(set(names[1:])) < len(names[1:]) or sum(key.kind == "image" for key in spec.observation) > 1:
-        _fail(place, f"observation keys {', '.join(names[1:])}", "different names and at most one image")
+    keys = [key.name for key in spec.observation]
+    _check_each([spec.name, *keys], place, "name")
+    if len(set(keys)) < len(keys) or sum(key.kind == "image" for key in spec.observation) > 1:
+        _fail(place, f"observation keys {', '.join(keys)}", "different names and at most one image")
     ranks = {"state": 1, "image": 3}
     for key in spec.observation:
         if len(key.shape) != ranks.get(key.kind) or min(key.shape) < 1:
-            _fail(
-                place,
-                f"key {key.name!r} of kind {key.kind!r}, shape {key.shape}",
-                "(n,) for state, (H, W, C) for image",
-            )
+            found = f"key {key.name!r} of kind {key.kind!r}, shape {key.shape}"
+            _fail(place, found, "(n,) for state, (H, W, C) for image")
     if not "".join([spec.env, *(key.unit for key in spec.observation)]).isprintable():
         _fail(place, "control characters in env or unit", "printable text")
     if spec.action_size < 1 or not 0 < spec.control_hz < math.inf:
@@ -119,11 +111,15 @@ def check_tasks(tasks: Sequence[str], place: str) -> None:
     Raises:
         TrajectoryFileError: If one is not a name, or stands twice.
     """
-    bad = next((task for task in tasks if not is_name(task)), None)
-    if bad is not None:
-        _fail(place, f"task name {bad!r}", "1 to 64 letters, digits, '_', '.', '-'")
+    _check_each(tasks, place, "task name")
     if len(set(tasks)) < len(tasks):
         _fail(place, f"tasks {', '.join(tasks)}", "every name once")
+
+
+def _check_each(names: Sequence[str], place: str, kind: str) -> None:
+    for name in names:
+        if not is_name(name):
+            _fail(place, f"{kind} {name!r}", "1 to 64 letters, digits, '_', '.', '-'")
 
 
 def write_header(file: h5py.File, header: Header) -> None:
@@ -144,13 +140,13 @@ def check_identity(file: h5py.File, path: Path) -> None:
     Raises:
         TrajectoryFileError: If it is not.
     """
-    found = {name: file.attrs.get(name) for name in ("format", "format_version", "complete")}
-    if not isinstance(found["format"], str) or found["format"] != FORMAT:
-        _fail(path, f"format {found['format']!r}", f"{FORMAT!r}", "convert it with 'plp data import'")
-    if found["format_version"] not in READABLE:
-        found_version = f"format version {found['format_version']!r}"
-        _fail(path, found_version, " or ".join(map(repr, READABLE)), "update plp or convert the file")
-    if found["complete"] is None or not bool(found["complete"]):
+    found, version, complete = (file.attrs.get(name) for name in ("format", "format_version", "complete"))
+    if not isinstance(found, str) or found != FORMAT:
+        _fail(path, f"format {found!r}", f"{FORMAT!r}", "convert it with 'plp data import'")
+    if version not in READABLE:
+        known = " or ".join(map(repr, READABLE))
+        _fail(path, f"format version {version!r}", known, "update plp or convert the file")
+    if complete is None or not bool(complete):
         _fail(path, "a file whose writing was never finished", "a complete one")
 
 
@@ -180,9 +176,8 @@ def _read_spec(file: h5py.File, name: str, path: Path) -> DomainSpec:
     place = f"{path}: domain {name!r}"
     if not is_name(name) or f"domains/{name}" not in file:
         _fail(place, "no group of that name", f"/domains/{name}")
-    group = file[f"domains/{name}"]
-    keys = tuple(_read_key(file, f"/domains/{name}/obs", key, path) for key in json.loads(group.attrs["observation"]))
-    attrs = group.attrs
+    attrs = file[f"domains/{name}"].attrs
+    keys = tuple(_read_key(file, f"/domains/{name}/obs", key, path) for key in json.loads(attrs["observation"]))
     if not any(key.kind == "state" for key in keys):
         _fail(place, "no state key", "at least one")
     spec = DomainSpec(name, keys, int(attrs["action_size"]), float(attrs["control_hz"]), str(attrs["env"]))
@@ -202,19 +197,22 @@ def _array(file: h5py.File, place: str, path: Path) -> h5py.Dataset:
 
 
 def _check_arrays(file: h5py.File, spec: DomainSpec, version: str, path: Path) -> None:
-    group = f"/domains/{spec.name}"
+    def check(name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+        array = _array(file, f"{group}/{name}", path)
+        if array.shape != shape or array.dtype != dtype:
+            found = f"{array.name} of shape {array.shape}, type {array.dtype}"
+            _fail(path, found, f"shape {shape}, type {np.dtype(dtype)}")
+
+    group, columns = f"/domains/{spec.name}", episode_columns(version)
     episodes = _array(file, f"{group}/episodes/task_id", path).size
-    columns = episode_columns(version)
     for name, dtype in columns.items():
-        shape = (episodes + (name == "offset"),)
-        _check_array(_array(file, f"{group}/episodes/{name}", path), shape, dtype, path)
+        check(f"episodes/{name}", (episodes + (name == "offset"),), dtype)
     _check_table(file, group, path)
     steps = int(file[f"{group}/episodes/offset"][-1])
     rows = steps + (_count_last(file[f"{group}/episodes/last"], steps, path) if "last" in columns else 0)
-    _check_array(_array(file, f"{group}/actions", path), (steps, spec.action_size), np.float32, path)
+    check("actions", (steps, spec.action_size), np.float32)
     for key in spec.observation:
-        dtype = np.uint8 if key.kind == "image" else np.float32
-        _check_array(_array(file, f"{group}/obs/{key.name}", path), (rows, *key.shape), dtype, path)
+        check(f"obs/{key.name}", (rows, *key.shape), np.uint8 if key.kind == "image" else np.float32)
 
 
 def _count_last(array: h5py.Dataset, steps: int, path: Path) -> int:
@@ -224,12 +222,6 @@ def _count_last(array: h5py.Dataset, steps: int, path: Path) -> int:
     if (known != steps + np.arange(len(known))).any():
         _fail(path, f"{array.name} {known[:4].tolist()}…", f"-1, or {steps} and the rows after it in turn")
     return len(known)
-
-
-def _check_array(array: h5py.Dataset, shape: tuple[int, ...], dtype: type[np.generic], path: Path) -> None:
-    if array.shape != shape or array.dtype != dtype:
-        found = f"{array.name} of shape {array.shape}, type {array.dtype}"
-        _fail(path, found, f"shape {shape}, type {np.dtype(dtype)}")
 
 
 def _check_table(file: h5py.File, group: str, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What is wrong, odd or worth knowing about a trajectory file: the checks behind ``plp data validate``."""
+"""The checks behind ``plp data validate``: all that is wrong, odd or worth knowing about a trajectory file."""
 
 from __future__ import annotations
 
@@ -25,21 +25,12 @@ class Finding:
 
 
 def validate_file(path: Path | str) -> list[Finding]:
-    """Read a whole trajectory file and check it.
-
-    Args:
-        path: A trajectory file.
-
-    Returns:
-        Errors first, then warnings, then the count and lengths of every (domain, task) pair.
-    """
+    """Read a whole trajectory file: errors first, then warnings, then the lengths of every (domain, task) pair."""
     path = Path(path).absolute()
     findings: list[Finding] = []
     try:
         with TrajectoryFile.open(path) as file:
-            # One by one, so that what was found before a read fails is kept.
-            for finding in _findings(file):
-                findings.append(finding)
+            findings.extend(_findings(file))  # one by one: those found before a read fails are kept
     except TrajectoryFileError as error:
         findings.append(Finding("error", str(path), str(error).removeprefix(f"{path}: ")))
     return sorted(findings, key=lambda finding: ("error", "warning", "info").index(finding.severity))
@@ -107,8 +98,7 @@ def _seeds(file: TrajectoryFile, domain: str) -> Iterator[Finding]:
 def _pair(file: TrajectoryFile, domain: str, task: str, arrays: DomainArrays) -> Iterator[Finding]:
     place, episodes = f"{domain}, {task}", np.flatnonzero(arrays.task == task)
     lengths = np.diff(arrays.offset)[episodes]
-    summary = f"{len(episodes)} demonstrations of {lengths.min()} to {lengths.max()} steps"
-    yield Finding("info", place, summary)
+    yield Finding("info", place, f"{len(episodes)} demonstrations of {lengths.min()} to {lengths.max()} steps")
     unknown = int((arrays.last[episodes] < 0).sum())
     if unknown:
         message = "end without a last observation: phases that look a step ahead leave their last steps out"
@@ -119,12 +109,8 @@ def _pair(file: TrajectoryFile, domain: str, task: str, arrays: DomainArrays) ->
     single = int((lengths == 1).sum())
     if single:
         yield Finding("warning", place, f"{single} demonstrations are one step long: nothing to align in time")
-    returning = sum(_returns(arrays.state[arrays.offset[e] : arrays.offset[e + 1]]) for e in episodes)
+    states = (arrays.state[arrays.offset[e] : arrays.offset[e + 1]] for e in episodes)
+    returning = sum(len(np.unique(state, axis=0)) < len(state) for state in states)
     if returning:
         message = f"{returning} of {len(episodes)} demonstrations visit a state twice: TCC cannot tell the visits apart"
         yield Finding("warning", place, message)
-
-
-def _returns(state: np.ndarray) -> bool:
-    """Whether two steps of ``state (T, O)`` are equal, value for value."""
-    return len(np.unique(state, axis=0)) < len(state)

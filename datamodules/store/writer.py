@@ -5,6 +5,7 @@ Everything of the format that other modules need can be imported from here.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,16 +20,8 @@ from datamodules.store.recording import Episode, episodes_by_domain, plain_json,
 from datamodules.store.schema import FORMAT, FORMAT_VERSION, Header, array_paths
 from datamodules.types import DomainSpec, Trajectory
 
-__all__ = [
-    "FORMAT",
-    "FORMAT_VERSION",
-    "DomainArrays",
-    "EpisodeTable",
-    "TrajectoryFile",
-    "add_trajectories",
-    "verify_hashes",
-    "write_trajectories",
-]
+__all__ = ["FORMAT", "FORMAT_VERSION", "DomainArrays", "EpisodeTable", "TrajectoryFile", "verify_hashes"]
+__all__ += ["add_trajectories", "write_trajectories"]
 
 
 def write_trajectories(
@@ -39,27 +32,12 @@ def write_trajectories(
     provenance: Mapping[str, Any],
     compress: bool = False,
 ) -> None:
-    """Create a trajectory file; it appears complete or not at all.
-
-    Episodes are sorted by task, then by seed; those with the same seed stay in the order in which they come.
-
-    Args:
-        path: The new file; missing folders are made.
-        domains: All domains of the experiment, also those that have no demonstration yet.
-        tasks: Names of all tasks in their canonical order.
-        trajectories: The demonstrations, in any order.
-        provenance: Command, seeds, versions, expert: anything that JSON can hold.
-        compress: Whether to compress vectors too; images always are.
+    """Create a trajectory file as :func:`add_trajectories` does; it appears complete or not at all.
 
     Raises:
         TrajectoryFileError: If the file exists, cannot be written, or a demonstration does not fit its domain.
     """
-    path, episodes = Path(path).resolve(), episodes_by_domain(trajectories, domains, tasks)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with locked_folder(path.parent):
-        if path.exists():
-            raise TrajectoryFileError(f"{path}: the file exists; expected a new one: choose another name or remove it")
-        write_file(path, Header(tuple(tasks), tuple(domains), plain_json(provenance)), episodes, compress)
+    add_trajectories(path, domains, tasks, trajectories, provenance, compress, new=True)
 
 
 def add_trajectories(
@@ -69,9 +47,11 @@ def add_trajectories(
     trajectories: Iterable[Trajectory],
     provenance: Mapping[str, Any],
     compress: bool = False,
+    new: bool = False,
 ) -> None:
     """Add demonstrations to a file, or create it: the old file is replaced in one step by one that holds both.
 
+    Episodes are sorted by task, then by seed; those with the same seed stay in the order in which they come.
     Demonstrations that the file holds already, value for value, are skipped; one whose last observation the file lacks
     takes the place of the one there. Earlier provenance is kept under the key ``earlier``.
 
@@ -79,9 +59,10 @@ def add_trajectories(
         path: The file to grow; missing folders are made.
         domains: Domains of the new demonstrations; those that the file knows must be the same as there.
         tasks: Names of all tasks in their canonical order.
-        trajectories: The demonstrations, in any order.
+        trajectories: The demonstrations, in any order: states ``(T + 1, O)``, actions ``(T, A)``.
         provenance: Command, seeds, versions, expert: anything that JSON can hold.
         compress: Whether to compress vectors too; images always are.
+        new: Whether the file must not be there yet.
 
     Raises:
         TrajectoryFileError: If a domain differs from the file's, the file holds arrays that growing would
@@ -94,6 +75,8 @@ def add_trajectories(
         if not path.exists():
             write_file(path, header, episodes, compress)
             return
+        if new:
+            raise TrajectoryFileError(f"{path}: the file exists; expected a new one: choose another name or remove it")
         with TrajectoryFile.open(path) as old:
             _check_growth(old, domains)
             merged = _merged_header(old, header)
@@ -103,15 +86,14 @@ def add_trajectories(
 
 
 def _merged_header(old: TrajectoryFile, new: Header) -> Header:
-    specs = {spec.name: spec for spec in (*old.domains, *new.domains)}
-    names = _merge([spec.name for spec in old.domains], [spec.name for spec in new.domains])
-    domains = tuple(specs[name] for name in names)
+    olds, news = ({spec.name: spec for spec in domains} for domains in (old.domains, new.domains))
+    domains = tuple((olds | news)[name] for name in _merge([*olds], [*news]))
     return Header(_merge(old.tasks, new.tasks), domains, _history(old.provenance, new.provenance))
 
 
 def _merge(old: Sequence[str], new: Sequence[str]) -> tuple[str, ...]:
     """The new order if it covers the old names, so that the order of collection does not matter."""
-    return tuple(new) if set(old) <= set(new) else (*old, *(name for name in new if name not in old))
+    return tuple(new) if set(old) <= set(new) else tuple(dict.fromkeys([*old, *new]))
 
 
 def _history(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
@@ -121,11 +103,11 @@ def _history(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 def _union(old: list[Episode], new: list[Episode]) -> list[Episode]:
-    both, known = [*old], dict[tuple[str, int], list[int]]()
+    both, known = [*old], defaultdict[tuple[str, int], list[int]](list)
     for number, episode in enumerate(old):
-        known.setdefault((episode.task, episode.seed), []).append(number)
+        known[episode.task, episode.seed].append(number)
     for episode in new:
-        twin = next((i for i in known.get((episode.task, episode.seed), []) if _same(episode, old[i])), None)
+        twin = next((i for i in known[episode.task, episode.seed] if _same(episode, old[i])), None)
         if twin is None:
             both.append(episode)
         elif len(episode.state) > len(old[twin].state):

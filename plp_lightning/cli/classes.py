@@ -25,20 +25,13 @@ ROOTS = (Policy, Phase, AlignmentTerm, Simulator, Expert, AlignmentScore, Callba
 
 def known_classes(roots: Iterable[type] = ROOTS) -> Iterator[type]:
     """Every class loaded so far that a configuration may name."""
-    waiting = list(roots)
-    while waiting:
-        kind = waiting.pop()
+    for kind in roots:
         yield kind
-        waiting.extend(kind.__subclasses__())
+        yield from known_classes(kind.__subclasses__())
 
 
 def find_class(name: str, allowed: Sequence[str]) -> type | None:
-    """The class of a short name or an import path; None if there is none, which the parser then tells.
-
-    Args:
-        name: As a configuration has it.
-        allowed: Packages that may be imported for it.
-    """
+    """The class of a short name or an import path in an allowed package; None without one, which the parser tells."""
     module, _, short = name.rpartition(".")
     if not module:
         return next((kind for kind in known_classes() if kind.__name__ == short), None)

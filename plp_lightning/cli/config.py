@@ -29,36 +29,20 @@ from plp_lightning.envs.base import Domain
 from plp_lightning.envs.proxy_tasks import some_proxy_tasks
 from plp_lightning.evaluation.joint_score import JointScore
 from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.runs import experiment as described
 from plp_lightning.runs.collection import CollectionConfig, ExpertCollector
-from plp_lightning.runs.experiment import (
-    EvaluationPlan,
-    Experiment,
-    PhaseFactory,
-    PolicyFactory,
-    check_names,
-    check_roles,
-)
+from plp_lightning.runs.experiment import EvaluationPlan, Experiment
 
 BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
 SPARE_TERMS = ("mmd", "tcc", "adversarial", "reconstruction")
 """Alignment terms that pages may set up for the methods that choose them."""
-OURS = {
-    "callbacks",
-    "logger",
-    "max_epochs",
-    "default_root_dir",
-    "enable_checkpointing",
-    "enable_progress_bar",
-    "plugins",
-}
+OURS = {"callbacks", "logger", "max_epochs", "default_root_dir", "plugins"}
+OURS |= {"enable_checkpointing", "enable_progress_bar"}
 """Arguments of the Trainer that a run sets itself."""
 
 
 def parse(arguments: Sequence[str]) -> Experiment:
-    """Read configuration files and overrides, and build the experiment.
-
-    Args:
-        arguments: As on the command line: ``--config FILE`` (repeatable), ``--data.target_task NAME``, …
+    """Read configuration files and overrides, ``--config FILE`` (repeatable) and the like, and build the experiment.
 
     Raises:
         ConfigError: If anything in them is wrong; one line that names it.
@@ -71,7 +55,9 @@ def parse(arguments: Sequence[str]) -> Experiment:
         config = parser.parse_args(["--config", yaml.safe_dump(tree, sort_keys=False), *flags])
     except argparse.ArgumentError as error:
         raise ConfigError(explain(str(error), parser)) from None
-    config.experiment = config.experiment or _experiment_name(arguments)
+    files = map(Path, option_values(arguments, "config"))
+    named = (file.stem for file in files if file.parent.name != "methods")
+    config.experiment = config.experiment or next(named, "unnamed")
     return build(parser, config, dropped)
 
 
@@ -83,7 +69,7 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> tuple[Tree, lis
         flags that are left for the parser.
     """
     contents = _contents(arguments)
-    phases = phase_names(contents.values(), option_values(arguments, "phases"))
+    phases = _phase_names(contents.values(), option_values(arguments, "phases"))
     tree: Tree = {}
     for path, content in contents.items():
         renamed, changes = rename(content, phases)
@@ -145,8 +131,8 @@ def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, lis
 
 
 def help_parser(arguments: Sequence[str]) -> ArgumentParser:
-    """Parser whose help shows what the given files and flags can be followed by."""
-    return build_parser(phase_names(_contents(arguments).values(), option_values(arguments, "phases")))
+    """Parser whose help shows all that can follow the given files and flags."""
+    return build_parser(_phase_names(_contents(arguments).values(), option_values(arguments, "phases")))
 
 
 def build_parser(phases: Sequence[str]) -> ArgumentParser:
@@ -162,10 +148,11 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     parser.add_argument("--domains", type=dict[str, Domain], help="simulator and expert of each domain")
     parser.add_class_arguments(DataSettings, "data")
     parser.add_class_arguments(CollectionConfig, "collection")
-    parser.add_argument("--policy", type=PolicyFactory, help="the policy's class and sizes")
+    parser.add_argument("--policy", type=described.PolicyFactory, help="the policy's class and sizes")
     parser.add_argument("--phases", type=list[str], help="phases of the method, in order; each is a key of its own")
     for name in phases:
-        parser.add_argument(f"--{name}", type=PhaseFactory, help=f"phase {name}: class, losses, epochs, optimizer")
+        told = f"phase {name}: class, losses, epochs, optimizer"
+        parser.add_argument(f"--{name}", type=described.PhaseFactory, help=told)
     parser.add_class_arguments(EvaluationPlan, "evaluation")
     parser.add_argument("--score", type=list[AlignmentScore], default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
@@ -181,7 +168,7 @@ def allow_imports(packages: Sequence[str]) -> None:
     )
 
 
-def phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:
+def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:
     """Phases that files and flags name; a method that leaves one out still reads pages that set it up."""
     lists = [content["phases"] for content in contents if "phases" in content] + [_read(value) for value in flags]
     for names in lists:
@@ -199,10 +186,7 @@ def option_values(arguments: Sequence[str], name: str) -> list[str]:
 def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()) -> Experiment:
     """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet.
 
-    Args:
-        parser: Who parsed it.
-        config: The configuration.
-        dropped: Keys of alignment terms that are left away: they are null in what is kept of the configuration.
+    ``dropped`` are keys of alignment terms that are left away: they are null in the configuration that is kept.
     """
     kept = yaml.safe_load(parser.dump(config.clone(), skip_unset=False))
     for key in dropped:
@@ -211,7 +195,8 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
     for key in ("domains", "method"):
         if not made[key]:
             raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
-    check_names({"experiment": made.experiment, "method": made.method, "data.target_task": made.data.target_task})
+    names = {"experiment": made.experiment, "method": made.method, "data.target_task": made.data.target_task}
+    described.check_names(names)
     return Experiment(
         name=made.experiment,
         method=made.method,
@@ -231,7 +216,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
 
 
 def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
-    check_roles(made.domains, data.source_domain, data.target_domain)
+    described.check_roles(made.domains, data.source_domain, data.target_domain)
     simulator = made.domains[data.source_domain].simulator
     folder = Path(data.root or os.environ.get("PLP_DATA", "data"))
     roles = TransferRoles(
@@ -250,16 +235,10 @@ def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
 
 def _check_phases(tree: Tree, phases: Sequence[str]) -> None:
     known = [name for name in phases if (tree.get(name) or {}).get("class_path")]
-    unknown = [name for name in tree["phases"] if name not in known]
-    if unknown:
-        name, choice = unknown[0], ", ".join(known)
-        raise ConfigError(f"phases names {name!r}, which nothing sets up; set {name}.class_path, or name: {choice}")
-
-
-def _experiment_name(arguments: Sequence[str]) -> str:
-    files = [Path(path) for path in option_values(arguments, "config")]
-    named = [file.stem for file in files if file.parent.name != "methods"]
-    return named[0] if named else "unnamed"
+    for name in tree["phases"]:
+        if name not in known:
+            choice = ", ".join(known)
+            raise ConfigError(f"phases names {name!r}, which nothing sets up; set {name}.class_path, or name: {choice}")
 
 
 def _read(text: str) -> Any:

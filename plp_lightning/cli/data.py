@@ -60,17 +60,9 @@ def _import_d4rl(options: argparse.Namespace) -> None:
 
 
 def inspect_file(path: str, json: bool = False) -> None:
-    """Show what a trajectory file holds: domains, keys, tasks, lengths and where it comes from.
-
-    Args:
-        path: Trajectory file.
-        json: Print JSON instead of tables.
-
-    Raises:
-        TrajectoryFileError: If the file cannot be read.
-    """
+    """Show domains, keys, tasks, lengths and provenance of a trajectory file, as JSON or as tables."""
     with TrajectoryFile.open(path) as file:
-        summary = summarize(file)
+        summary = _summary(file)
     if json:
         print(dumps(summary, indent=2))
     else:
@@ -78,14 +70,7 @@ def inspect_file(path: str, json: bool = False) -> None:
 
 
 def validate(path: str) -> None:
-    """Check a trajectory file, value by value, and print what was found.
-
-    Args:
-        path: Trajectory file.
-
-    Raises:
-        TrajectoryFileError: If there are errors.
-    """
+    """Check a trajectory file, value by value, print all findings, and raise if there are errors among them."""
     findings, console = validate_file(path), Console(soft_wrap=True)
     styles = {"error": "bold red", "warning": "yellow", "info": "dim"}
     for finding in findings:
@@ -97,8 +82,7 @@ def validate(path: str) -> None:
     console.print(f"{escape(path)}: fit for training, {len(findings)} findings", highlight=False)
 
 
-def summarize(file: TrajectoryFile) -> dict[str, Any]:
-    """What ``plp data inspect --json`` prints, as plain lists, strings and numbers."""
+def _summary(file: TrajectoryFile) -> dict[str, Any]:
     counts = file.counts()
     return {
         "file": str(file.path),
@@ -113,12 +97,10 @@ def summarize(file: TrajectoryFile) -> dict[str, Any]:
 def _domain(file: TrajectoryFile, spec: DomainSpec, counts: dict[str, int]) -> dict[str, Any]:
     table = file.episodes(spec.name)
     lengths = np.diff(table.offset)
-    span = (
-        {"min": int(lengths.min()), "mean": float(lengths.mean()), "max": int(lengths.max())} if len(lengths) else None
-    )
+    span = {"min": int(lengths.min()), "mean": float(lengths.mean()), "max": int(lengths.max())} if len(lengths) else {}
     totals = {"episodes": len(lengths), "steps": int(table.offset[-1]), "successes": int(table.success.sum())}
     totals["last_known"] = int((table.last >= 0).sum())
-    return {**spec.to_dict(), **totals, "length": span, "counts": counts}
+    return {**spec.to_dict(), **totals, "length": span or None, "counts": counts}
 
 
 def _show(summary: dict[str, Any]) -> None:
@@ -135,11 +117,9 @@ def _domain_table(summary: dict[str, Any]) -> Table:
     columns = ("episodes", "successes", "last known", "steps", "length min/mean/max")
     table = Table("domain", "simulated by", "actions", "Hz", *columns)
     for domain in summary["domains"]:
-        length = domain["length"]
-        span = f"{length['min']} / {length['mean']:.1f} / {length['max']}" if length else "–"
-        names = ("action_size", "control_hz", "episodes", "successes", "last_known", "steps")
-        numbers = (domain[name] for name in names)
-        actions, rate, *totals = (f"{number:g}" if isinstance(number, float) else f"{number}" for number in numbers)
+        span = "{min} / {mean:.1f} / {max}".format(**domain["length"]) if domain["length"] else "–"
+        totals = (str(domain[name]) for name in ("episodes", "successes", "last_known", "steps"))
+        actions, rate = f"{domain['action_size']}", f"{domain['control_hz']:g}"
         table.add_row(domain["name"], escape(domain["env"]), actions, rate, *totals, span)
     return table
 
@@ -154,10 +134,9 @@ def _key_table(summary: dict[str, Any]) -> Table:
 
 
 def _count_table(summary: dict[str, Any]) -> Table:
-    domains = summary["domains"]
-    table = Table("task", *(domain["name"] for domain in domains))
+    table = Table("task", *(domain["name"] for domain in summary["domains"]))
     for task in summary["tasks"]:
-        row = [domain["counts"][task] for domain in domains]
+        row = [domain["counts"][task] for domain in summary["domains"]]
         if any(row):
             table.add_row(task, *map(str, row))
     return table

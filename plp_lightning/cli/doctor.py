@@ -1,4 +1,4 @@
-"""``plp doctor``: what works on this machine, and what to install for the rest."""
+"""``plp doctor``: packages, renderers and cores of this machine, and advice on what is missing."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ def run_doctor(arguments: Sequence[str]) -> None:
     parser = OptionParser("plp doctor", description="What works on this machine, and what to install for the rest.")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     options = parser.parse_args(list(arguments))
-    findings = examine()
+    findings = _findings()
     if options.json:
         print(json.dumps(findings, indent=2))
     else:
         _show(findings)
 
 
-def examine() -> dict[str, Any]:
-    """What ``plp doctor --json`` prints, as plain lists, strings and numbers."""
+def _findings() -> dict[str, Any]:
     packages = versions()
     renderers = {backend: _try(backend) for backend in get_args(Backend)}
     lacking = [name for name in PACKAGES if name not in packages]
@@ -61,10 +60,8 @@ def _try(backend: Backend) -> dict[str, Any]:
 def _show(findings: dict[str, Any]) -> None:
     console = Console(soft_wrap=True)
     packages, renderers = Table("package", "version"), Table("renderer", "64 × 64 images")
-    for name, version in findings["packages"].items():
+    for name, version in (findings["packages"] | dict.fromkeys(findings["missing"], "[red]missing[/]")).items():
         packages.add_row(name, version)
-    for name in findings["missing"]:
-        packages.add_row(name, "[red]missing[/]")
     for name, found in findings["renderers"].items():
         works = "frames_per_second" in found
         renderers.add_row(name, f"{found['frames_per_second']} frames/s a thread" if works else escape(found["error"]))

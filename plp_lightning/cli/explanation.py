@@ -11,6 +11,7 @@ from jsonargparse import ArgumentParser
 
 from plp_lightning.cli.classes import known_classes
 
+GIVE = "give an experiment, such as --config configs/r2r.yaml"
 NEAR = 0.7  # Similarity from which a known word is offered in place of an unknown one
 
 
@@ -25,16 +26,12 @@ def explain(message: str, parser: ArgumentParser) -> str:
 
 
 def _forbidden(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
-    name = found[1]
-    return (
-        f"{place}: importing {name!r} is not allowed; expected a class of this project; "
-        f"if you trust it, add --allow_imports {name.split('.')[0]}"
-    )
+    trust = f"expected a class of this project; if you trust it, add --allow_imports {found[1].split('.')[0]}"
+    return f"{place}: importing {found[1]!r} is not allowed; {trust}"
 
 
 def _unknown_key(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
-    name = found[1] if len(found.groups()) == 1 else f"{found[1]}.{found[2]}"
-    full = name if place == "the configuration" else f"{place}.{name}"
+    full = ".".join([*([] if place == "the configuration" else [place]), *found.groups()])
     known = _known_words(parser) | set(place.split("."))
     return f"unknown key {full!r}; " + _hint(full, known, "see plp fit --help")
 
@@ -49,24 +46,16 @@ def _wrong_type(place: str, found: re.Match[str], parser: ArgumentParser) -> str
     return f"{place} is {found[2]}; expected {expected}; mend the value"
 
 
-def _out_of_bounds(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
-    return f"{place} is {found[1]}; change it"
-
-
-def _no_experiment(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
-    return f"{found[1]} not set; give an experiment, such as --config configs/r2r.yaml"
-
-
 COMPLAINTS: list[tuple[str, Callable[[str, re.Match[str], ArgumentParser], str]]] = [
     (r"Importing '([^']+)' is not allowed", _forbidden),
     (r"Option '([^']+)' is not accepted", _unknown_key),
     (r"Group '([^']+)' does not accept option '([^']+)'", _unknown_key),
     (r"unrecognized arguments: (?:--)?([^\s=]+)", _unknown_key),
     (r"Expected a dot import path string: (\S+)", _unknown_class),
-    (r"Not of type \w+: (.+?; expected [^\n|]+?)(?:\. Got value|\n|$)", _out_of_bounds),
+    (r"Not of type \w+: (.+?; expected [^\n|]+?)(?:\. Got value|\n|$)", lambda at, x, _: f"{at} is {x[1]}; change it"),
     (r"Expected an? (.+?)\. Got value: (.+?)(?:\. Got value|\n|$)", _wrong_type),
     (r"Subtypes: \[([^\n]+)\][\s\S]*Given value: (.+?)(?:\. Got value|\n|$)", _wrong_type),
-    (r"arguments are required: (.+)", _no_experiment),
+    (r"arguments are required: (.+)", lambda _, x, __: f"{x[1]} not set; {GIVE}"),
 ]
 """What jsonargparse says, most telling first, and how to tell it."""
 

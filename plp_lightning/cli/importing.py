@@ -1,4 +1,4 @@
-"""What ``plp data import`` does: demonstrations of other projects → a trajectory file of ours."""
+"""``plp data import``: demonstrations of other projects → a trajectory file of ours."""
 
 from __future__ import annotations
 
@@ -38,11 +38,10 @@ def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:
     walk = read_walk(source)
     pieces = split_walk(walk)
     ways = [piece for piece in pieces if len(piece.actions) >= SHORTEST]
-    flaws = find_flaws(ways, walk, maze, source)
+    flaws = _flaws(ways, walk, maze, source)
     fit = [way for way, flaw in zip(ways, flaws, strict=True) if not flaw]
-    dropped = Counter(flaw for flaw in flaws if flaw)
-    if len(ways) < len(pieces):
-        dropped[f"shorter than {SHORTEST} steps"] = len(pieces) - len(ways)
+    short = [f"shorter than {SHORTEST} steps"] * (len(pieces) - len(ways))
+    dropped = Counter([*filter(None, flaws), *short])
     if not fit:
         raise TrajectoryFileError(f"{source}: none of {len(pieces)} ways can be used ({_listed(dropped)})")
     record = {
@@ -52,20 +51,15 @@ def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:
         "dropped": dict(dropped),
         "versions": versions(),
     }
-    tasks = name_tasks(fit, maze)
+    tasks = _tasks(fit, maze)
     trajectories = [demonstration(way, task, maze, domain) for way, task in zip(fit, tasks, strict=True)]
     add_trajectories(out, [maze.spec(domain)], maze.tasks, trajectories, record)
     print(f"{out}: {len(fit)} demonstrations of {len({*tasks})} tasks imported; {_listed(dropped) or 'none dropped'}")
 
 
-def find_flaws(ways: Sequence[Segment], walk: Walk, maze: PointMaze, source: Path) -> list[str]:
-    """Why each way to a goal is no demonstration, in a few words; empty if it is one.
-
-    D4RL draws goals around whole numbers, which name the cell, though cells lie 0.2 lower in its frame.
-
-    Raises:
-        TrajectoryFileError: If the walk or a goal of it leads through a wall: it belongs to another maze.
-    """
+def _flaws(ways: Sequence[Segment], walk: Walk, maze: PointMaze, source: Path) -> list[str]:
+    """In a few words, why each way to a goal is no demonstration; empty if it is one."""
+    # D4RL draws goals around whole numbers, which name the cell, though cells lie 0.2 lower in its frame.
     places = maze.frame.cells(walk.states[:, :2])
     cells, goals = maze.layout.nearest(places), maze.layout.nearest(walk.goals)
     _check_layout(np.stack([cells, goals], axis=1), maze, source)
@@ -77,7 +71,7 @@ def find_flaws(ways: Sequence[Segment], walk: Walk, maze: PointMaze, source: Pat
     return flaws
 
 
-def name_tasks(ways: Sequence[Segment], maze: PointMaze) -> list[str]:
+def _tasks(ways: Sequence[Segment], maze: PointMaze) -> list[str]:
     """Names of the tasks: the zone of the cell where a way begins, and the cell of its goal."""
     zone_of = {cell: zone for zone, cells in enumerate(maze.layout.zones) for cell in cells}
     starts = maze.layout.nearest(maze.frame.cells(np.array([way.states[0, :2] for way in ways])))
@@ -87,12 +81,11 @@ def name_tasks(ways: Sequence[Segment], maze: PointMaze) -> list[str]:
 
 
 def demonstration(way: Segment, task: str, maze: PointMaze, domain: str) -> Trajectory:
-    """A flawless way to a goal as the domain sees it; actions beyond the limit are clipped, as D4RL's motors do.
+    """A flawless way to a goal, ``(T, 2)`` actions, as the domain sees it; D4RL's motors clip too strong actions too.
 
     A walk that was never reset has no seeds; the number of the first step stands in for one.
     """
-    state = maze.states_of_domain(way.states)
-    actions = maze.actions_of_domain(np.clip(way.actions, -1, 1))
+    state, actions = maze.states_of_domain(way.states), maze.actions_of_domain(np.clip(way.actions, -1, 1))
     return Trajectory(domain, task, Observation(state), actions, way.row, success=True)
 
 

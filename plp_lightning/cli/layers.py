@@ -6,8 +6,8 @@ class has too, and nothing else: no default of the class before. So pages can se
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-import inspect
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,7 @@ Tree = dict[str, Any]  # A configuration as YAML has it
 
 
 def read_yaml(path: Path) -> Tree:
-    """Keys and values of a file.
-
-    Raises:
-        ConfigError: If it can't be read or holds something else.
-    """
+    """Keys and values of a file; a :class:`ConfigError` says if it can't be read or holds something else."""
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -52,7 +48,8 @@ def overlay(below: Any, above: Any, allowed: Sequence[str]) -> Any:
         above = {"class_path": above}
     if not isinstance(below, Mapping) or not isinstance(above, Mapping):
         return above
-    merged = _other_class(below, above, allowed) if changes_class(below, above) else dict(below)
+    classes = [part["class_path"] for part in (below, above) if "class_path" in part]
+    merged = _other_class(below, above, allowed) if len(classes) == 2 and len({*classes}) == 2 else dict(below)
     for key, value in above.items():
         if key.endswith("+"):
             name = key[:-1]
@@ -60,11 +57,6 @@ def overlay(below: Any, above: Any, allowed: Sequence[str]) -> Any:
         else:
             merged[key] = overlay(merged.get(key), value, allowed)
     return merged
-
-
-def changes_class(below: Mapping[str, Any], above: Mapping[str, Any]) -> bool:
-    """Whether a part of a configuration is of another class above than below."""
-    return "class_path" in below and "class_path" in above and below["class_path"] != above["class_path"]
 
 
 def _other_class(below: Mapping[str, Any], above: Mapping[str, Any], allowed: Sequence[str]) -> Tree:
@@ -78,13 +70,9 @@ def _other_class(below: Mapping[str, Any], above: Mapping[str, Any], allowed: Se
 
 
 def completed(tree: Any, allowed: Sequence[str]) -> Any:
-    """The configuration with every class's own defaults in the place of what was left out.
+    """A configuration, or a part of it, with every class's own defaults in the place of settings that were left out.
 
     The parser would fill in the defaults of whatever class stood there before.
-
-    Args:
-        tree: A configuration, or a part of it.
-        allowed: Packages whose classes may be imported.
     """
     if isinstance(tree, list):
         return [completed(item, allowed) for item in tree]
@@ -124,32 +112,19 @@ def without_spare_parts(tree: Tree, phases: Sequence[str], terms: Sequence[str])
     Raises:
         ConfigError: If a term without a class has another name.
     """
-    kept = {key: value for key, value in tree.items() if key not in phases or key in tree["phases"]}
+    kept = copy.deepcopy({key: value for key, value in tree.items() if key not in phases or key in tree["phases"]})
     dropped = []
     for phase in tree["phases"]:
-        settings = (kept.get(phase) or {}).get("init_args") or {}
-        for name, term in (settings.get("terms") or {}).items():
-            if not isinstance(term, str) and "class_path" not in (term or {}):
-                _check_spare(f"{phase}.terms.{name}", name, term, terms)
-                dropped.append(f"{phase}.init_args.terms.{name}")
-    return remove(kept, dropped), dropped
-
-
-def _check_spare(place: str, name: str, term: Any, known: Sequence[str]) -> None:
-    if term is not None and name not in known:
-        raise ConfigError(f"{place} has no class; give its class_path, or name one of: {', '.join(known)}")
-
-
-def remove(tree: Tree, keys: Sequence[str]) -> Tree:
-    """The configuration without some dotted keys."""
-    kept = dict(tree)
-    for key in keys:
-        head, _, rest = key.partition(".")
-        if rest and isinstance(kept.get(head), Mapping):
-            kept[head] = remove(kept[head], [rest])
-        elif not rest:
-            kept.pop(head, None)
-    return kept
+        chosen = ((kept.get(phase) or {}).get("init_args") or {}).get("terms") or {}
+        for name, term in [*chosen.items()]:
+            if isinstance(term, str) or "class_path" in (term or {}):
+                continue
+            if term is not None and name not in terms:
+                place, known = f"{phase}.terms.{name}", ", ".join(terms)
+                raise ConfigError(f"{place} has no class; give its class_path, or name one of: {known}")
+            del chosen[name]
+            dropped.append(f"{phase}.init_args.terms.{name}")
+    return kept, dropped
 
 
 def insert(tree: Tree, key: str, value: Any) -> None:
@@ -158,8 +133,3 @@ def insert(tree: Tree, key: str, value: Any) -> None:
     for part in path:
         tree = tree.setdefault(part, {})
     tree[name] = value
-
-
-def is_required(default: Any) -> bool:
-    """Whether a setting has no default."""
-    return default is inspect.Parameter.empty

@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from datamodules.errors import ConfigError, UserError
 
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(USAGE.format(verbs="\n".join(f"  {name:9} {text}" for name, (_, text) in VERBS.items())))
         return
     if words[0] == "--version":
-        print(f"plp {installed_version()}")
+        print(f"plp {_installed_version()}")
         return
     way_on = "plp fit --resume RUN_DIR" if words[0] == "fit" else "the same command"
     # Several runs at once must not fight for cores; set before any library starts its threads.
@@ -47,28 +48,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         find_verb(words[0])(words[1:])
     except UserError as error:
-        print(f"plp: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
+        _leave(" ".join(str(error).split()), 2)
     except OSError as error:
-        print(f"plp: {describe(error)}", file=sys.stderr)
-        sys.exit(2)
+        # What the file system refused, and where: a full disk, say, or a folder that may not be written.
+        place, reason = f"{error.filename}: " if error.filename else "", error.strerror or error
+        _leave(f"{place}{reason}; expected a place that can be read and written: free or name another", 2)
     except KeyboardInterrupt:
-        print(f"plp: stopped; go on with {way_on}", file=sys.stderr)
-        sys.exit(130)
+        _leave(f"stopped; go on with {way_on}", 130)
     except Exception as error:
         # Asked to stop by a signal: the state is saved, and a scheduler reads the exit code.
         if not hasattr(error, "exit_code"):
             raise
-        print(f"plp: {error}; go on with {way_on}", file=sys.stderr)
-        sys.exit(error.exit_code)
+        _leave(f"{error}; go on with {way_on}", error.exit_code)
+
+
+def _leave(message: str, code: int) -> NoReturn:
+    print(f"plp: {message}", file=sys.stderr)
+    sys.exit(code)
 
 
 def find_verb(name: str) -> Callable[[Sequence[str]], None]:
-    """The function behind a verb.
-
-    Raises:
-        ConfigError: If there is no such verb.
-    """
+    """The function behind a verb; a :class:`ConfigError` names the nearest if there is no such verb."""
     if name not in VERBS:
         near = difflib.get_close_matches(name, VERBS, n=1)
         raise ConfigError(f"unknown verb {name!r}; " + (f"did you mean {near[0]!r}?" if near else "see plp --help"))
@@ -77,19 +77,12 @@ def find_verb(name: str) -> Callable[[Sequence[str]], None]:
     return verb
 
 
-def installed_version() -> str:
-    """Version of the installed package, or a word for a checkout that was never installed."""
+def _installed_version() -> str:
     metadata = importlib.import_module("importlib.metadata")
     try:
         return str(metadata.version("plp-lightning"))
     except metadata.PackageNotFoundError:
         return "from a checkout that is not installed; run pip install -e ."
-
-
-def describe(error: OSError) -> str:
-    """What the file system refused, and where: a full disk, say, or a folder that may not be written."""
-    place = f"{error.filename}: " if error.filename else ""
-    return f"{place}{error.strerror or error}; expected a place that can be read and written: free or name another"
 
 
 if __name__ == "__main__":

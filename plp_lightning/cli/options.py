@@ -12,11 +12,6 @@ class OptionParser(argparse.ArgumentParser):
     """Raises where argparse would print its usage and leave."""
 
     def error(self, message: str) -> NoReturn:
-        """Tell what is wrong with the arguments.
-
-        Raises:
-            ConfigError: Always.
-        """
         raise ConfigError(f"{message}; see {self.prog} --help")
 
 

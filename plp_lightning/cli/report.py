@@ -1,22 +1,18 @@
-"""``plp report``: what many runs found, side by side."""
+"""``plp report``: results of many runs, side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from datamodules.store.atomic import locked_folder, replacing
+from datamodules.store.atomic import write_atomically
 from plp_lightning.cli.options import OptionParser
 from plp_lightning.report.records import read_records
 from plp_lightning.report.tables import comma_separated, markdown
 
 
 def run_report(arguments: Sequence[str]) -> None:
-    """``plp report RUNS… [--out FOLDER]``: success rates of methods and runs beside the paper's.
-
-    Raises:
-        ConfigError: If there are no results, or they can't be read.
-    """
+    """``plp report RUNS… [--out FOLDER]``: success rates of methods and runs beside the paper's."""
     parser = OptionParser("plp report", description="Success rates of methods and runs, beside the paper's.")
     parser.add_argument("runs", type=Path, nargs="+", help="run directories, or folders above them, such as runs")
     parser.add_argument("--out", type=Path, help="folder that gets report.md and report.csv, instead of the screen")
@@ -27,6 +23,5 @@ def run_report(arguments: Sequence[str]) -> None:
         return
     options.out.mkdir(parents=True, exist_ok=True)
     for name, text in {"report.md": markdown(records), "report.csv": comma_separated(records)}.items():
-        with locked_folder(options.out), replacing(options.out / name) as new:
-            new.write_text(text, encoding="utf-8")
+        write_atomically(options.out / name, text)
         print(f"{options.out / name}: {len(records)} runs")

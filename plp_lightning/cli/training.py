@@ -1,4 +1,4 @@
-"""What ``plp collect --train_expert`` does: a gait for one of an experiment's walkers."""
+"""``plp collect --train_expert``: a gait for one of an experiment's walkers."""
 
 from __future__ import annotations
 
@@ -19,20 +19,17 @@ def train_expert(experiment: Experiment, domain: str, weights: Path, steps: int)
     Args:
         experiment: The experiment.
         domain: Name of a domain whose simulator is a :class:`WalkerMaze`.
-        weights: Where to write the gait, as safetensors; its provenance goes beside it as JSON.
+        weights: File that gets the gait, as safetensors; its provenance goes beside it as JSON.
         steps: Control steps to train for.
 
     Raises:
-        ConfigError: If there is no such domain, its expert needs no training, a file is in the way, or
-            stable-baselines3 is not installed.
+        ConfigError: If the domain's expert cannot be trained, a file is in the way, or stable-baselines3 is missing.
     """
     legs = _walker(experiment, domain).legs
     _check_place(weights)
     if find_spec("stable_baselines3") is None:
-        raise ConfigError(
-            "training an expert needs stable-baselines3, which is not installed; "
-            "install the extra 'experts' with: pip install -e '.[experts]'"
-        )
+        remedy = "install the extra 'experts' with: pip install -e '.[experts]'"
+        raise ConfigError(f"training an expert needs stable-baselines3, which is not installed; {remedy}")
     from plp_lightning.envs.experts.train_walker import train_walker
 
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
