@@ -38,8 +38,8 @@ class TransferDataModule(LightningDataModule):
     Args:
         path: The trajectory file.
         roles: Domains and tasks, and the part that each plays.
-        demonstrations: How many there shall be.
-        batching: What a batch holds.
+        demonstrations: Numbers of demonstrations.
+        batching: Contents of a batch.
         seed: Seed of every draw.
         image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches
             ask for them, and as much of them is kept. The batches are the same.
@@ -68,29 +68,25 @@ class TransferDataModule(LightningDataModule):
     # -- what is needed, and what is there ---------------------------------------------------------
 
     def needed(self) -> dict[str, dict[str, int]]:
-        """Demonstrations that the experiment needs: ``batch_spec[domain][task]``."""
-        needed = {domain: dict.fromkeys(self.proxy_tasks, self._per_proxy(domain)) for domain in self.domains}
-        per_target = -(-self.demonstrations.target_trajectories // len(self.target_tasks))
+        """Demonstrations that the experiment needs: ``needed[domain][task]``."""
+        wanted, needed = self.demonstrations, dict[str, dict[str, int]]()
+        for domain in self.domains:
+            total = (domain != self.target_domain and wanted.source_trajectories) or wanted.trajectories
+            needed[domain] = dict.fromkeys(self.proxy_tasks, -(-total // len(self.proxy_tasks)))
+        per_target = -(-wanted.target_trajectories // len(self.target_tasks))
         needed[self.source_domain] |= dict.fromkeys(self.target_tasks, per_target)
         return needed
 
-    def _per_proxy(self, domain: str) -> int:
-        found = self.demonstrations
-        total = (domain != self.target_domain and found.source_trajectories) or found.trajectories
-        return -(-total // len(self.proxy_tasks))
-
     def missing(self) -> dict[str, dict[str, int]]:
-        """The part of :meth:`batch_spec` that the file lacks; empty if nothing is missing."""
-        counts: Mapping[str, Mapping[str, int]] = {}
+        """The part of :meth:`needed` that the file lacks; empty if nothing is missing."""
+        missing = self.needed()
         if self.path.exists():
             with TrajectoryFile.open(self.path) as file:
                 counts = file.counts()
-        lacking = {
-            domain: {task: n - counts.get(domain, {}).get(task, 0) for task, n in tasks.items()}
-            for domain, tasks in self.needed().items()
-        }
-        found = {domain: {task: n for task, n in tasks.items() if n > 0} for domain, tasks in lacking.items()}
-        return {domain: tasks for domain, tasks in found.items() if tasks}
+            for domain, tasks in missing.items():
+                lacking = {task: n - counts.get(domain, {}).get(task, 0) for task, n in tasks.items()}
+                missing[domain] = {task: n for task, n in lacking.items() if n > 0}
+        return {domain: tasks for domain, tasks in missing.items() if tasks}
 
     def prepare_data(self) -> None:
         """Collect the demonstrations that are missing, one process at a time.
@@ -105,10 +101,9 @@ class TransferDataModule(LightningDataModule):
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with FileLock(f"{self.path}.lock"):
-            missing = self.missing()
-            if missing and self.collector is None:
-                raise MissingTrajectoriesError(_lack(self.path, missing))
-            if missing and self.collector is not None:
+            if missing := self.missing():
+                if self.collector is None:
+                    raise MissingTrajectoriesError(_lack(self.path, missing))
                 self.collector(self.path, missing)
 
     # -- datasets and their parts --------------------------------------------------------------------
@@ -127,20 +122,18 @@ class TransferDataModule(LightningDataModule):
 
     def _read(self, file: TrajectoryFile, domain: str, chosen: np.ndarray, image: Images | None) -> DomainDataset:
         arrays = file.read(domain, chosen, images=False)
-        index = {name: i for i, name in enumerate(self.tasks)}
-        episode_task = np.array([index[name] for name in arrays.task])
-        seed = file.episodes(domain).seed[chosen]
-        numbers = (arrays.offset, episode_task, seed, arrays.last)
+        episode_task = np.array([self.tasks.index(name) for name in arrays.task])
+        numbers = (arrays.offset, episode_task, file.episodes(domain).seed[chosen], arrays.last)
         return build_dataset(file.spec(domain), arrays.state, image, arrays.actions, *numbers)
 
     @property
     def specs(self) -> list[DomainSpec]:
-        """What each domain looks like, in order."""
+        """Specs of the domains, in order."""
         return [dataset.spec for dataset in self.datasets.values()]
 
     @property
     def problem(self) -> TransferProblem:
-        """What a policy for these data is built for."""
+        """Domains, tasks and scaling that a policy for these data is built for."""
         return TransferProblem(self.specs, self.tasks, self.source_domain, self.target_domain, self.statistics())
 
     @cached_property
@@ -153,7 +146,7 @@ class TransferDataModule(LightningDataModule):
         return digest.hexdigest()
 
     def episodes(self, domain: str, tasks: Sequence[str], part: Part) -> np.ndarray:
-        """Trajectory ids of ``tasks`` in one part of a domain's data; the parts never overlap."""
+        """Trajectory ids ``(n,)`` of ``tasks`` in one part of a domain's data; the parts never overlap."""
         wanted = np.array([self.tasks.index(task) for task in tasks])
         ids = self.datasets[domain].episodes_of(wanted)
         order = generator(Stream.VAL_SPLIT, len(ids)).permutation(ids)
@@ -161,14 +154,14 @@ class TransferDataModule(LightningDataModule):
         return np.sort(order[:count] if part == "val" else order[count:])
 
     def rows(self, tasks: Sequence[str], part: Part, next_observation: bool = False) -> dict[str, np.ndarray]:
-        """Rows of ``tasks`` by domain, if asked for those with a next observation; domains without any are left out."""
+        """Rows ``(n,)`` of ``tasks`` by domain, if asked for those with a next observation; no domain without any."""
         found = {d: dataset.rows_of(self.episodes(d, tasks, part)) for d, dataset in self.datasets.items()}
         if next_observation:
             found = {d: rows[self.datasets[d].next_row.numpy()[rows] >= 0] for d, rows in found.items()}
         return {domain: rows for domain, rows in found.items() if len(rows)}
 
     def statistics(self) -> dict[str, Statistics]:
-        """Of the raw states that the alignment phase trains on, by domain."""
+        """Statistics ``(O,)`` of the raw states that the alignment phase trains on, by domain."""
         rows = self.rows(self.proxy_tasks, "train")
         return {d: Statistics.fit(self.datasets[d].observation.state.numpy()[r]) for d, r in rows.items()}
 
@@ -178,57 +171,49 @@ class TransferDataModule(LightningDataModule):
         """Training batches of a phase."""
         datasets = self._tables(batch_spec)
         stride = self.batching.stride if batch_spec.pairs == "thinned" else 1
-        pairs = None if batch_spec.pairs == "none" else PairSource(datasets, self._pair_order(), stride)
+        if batch_spec.pairs == "none":
+            return Loader(datasets, self._order(batch_spec), None, batch_spec)
+        episodes = {domain: self.episodes_by_task(domain) for domain in self.domains}
+        pairs = PairSource(datasets, PairOrder(episodes, self.batching.pairs, self.seed), stride)
         return Loader(datasets, self._order(batch_spec), pairs, batch_spec)
 
     def _order(self, batch_spec: BatchSpec) -> Order:
-        if batch_spec.steps == "none":
-            return NoSteps(self._pair_batches())
+        if batch_spec.steps == "none":  # so many steps that as many pairs come as the target domain has trajectories
+            count = len(self.episodes(self.target_domain, self.proxy_tasks, "train"))
+            return NoSteps(-(-count // self.batching.pairs))
         rows_of = partial(self.rows, part="train", next_observation=batch_spec.next_observation)
+        drawn = self.batching.batch_size, self.seed
         if batch_spec.steps == "mix":
-            target, proxies = rows_of(self.target_tasks), rows_of(self.proxy_tasks)
-            return MixOrder(target, proxies, self.batching.mix_ratio, self.batching.batch_size, self.seed)
+            return MixOrder(rows_of(self.target_tasks), rows_of(self.proxy_tasks), self.batching.mix_ratio, *drawn)
         rows = rows_of([*self.proxy_tasks, *(self.target_tasks if batch_spec.steps == "all" else ())])
         if self.batching.tasks_per_batch is None:
-            return AlignmentOrder(rows, self.batching.batch_size, self.seed)
+            return AlignmentOrder(rows, *drawn)
         tasks = {domain: self.datasets[domain].task.numpy()[found] for domain, found in rows.items()}
-        return TaskwiseOrder(rows, tasks, self.batching.tasks_per_batch, self.batching.batch_size, self.seed)
+        return TaskwiseOrder(rows, tasks, self.batching.tasks_per_batch, *drawn)
 
     def _tables(self, batch_spec: BatchSpec) -> dict[str, DomainDataset]:
         return {d: dataset if batch_spec.images else dataset.without_images() for d, dataset in self.datasets.items()}
 
-    def _pair_order(self) -> PairOrder:
-        episodes = {domain: self.episodes_by_task(domain) for domain in self.domains}
-        return PairOrder(episodes, self.batching.pairs, self.seed)
-
-    def _pair_batches(self) -> int:
-        """So many that as many pairs are drawn as the target domain has trajectories."""
-        return -(-len(self.episodes(self.target_domain, self.proxy_tasks, "train")) // self.batching.pairs)
-
     def _held_out_pairs(self, datasets: Mapping[str, DomainDataset]) -> FixedPairs:
-        """Of the target domain what is held out; of the source domain too, where that has some of the task."""
+        """Trajectories of the target domain that are held out, beside those of the source, held out if it has any."""
         source, target = self.source_domain, self.target_domain
         partners = self.episodes_by_task(source, "train") | self.episodes_by_task(source, "val")
-        return FixedPairs(
-            datasets, {source: partners, target: self.episodes_by_task(target, "val")}, self.batching.pairs
-        )
+        episodes = {source: partners, target: self.episodes_by_task(target, "val")}
+        return FixedPairs(datasets, episodes, self.batching.pairs)
 
     def episodes_by_task(self, domain: str, part: Part = "train") -> dict[int, np.ndarray]:
-        """Trajectories of a domain's proxy tasks, by task index; tasks without any are left out."""
+        """Trajectory ids ``(n,)`` of a domain's proxy tasks, by task index; tasks without any are left out."""
         found = self.episodes(domain, self.proxy_tasks, part)
         task = self.datasets[domain].episode_task[found]
         return {int(index): found[task == index] for index in np.unique(task)}
 
     def train_dataloader(self) -> Loader:
-        """Batches for the phase that the trainer runs, from where a resumed run stopped."""
-        self._loader = self.loader(self._phase_spec())
-        if self._cursor is not None:
-            self._loader.load_state_dict(self._cursor)
-            self._cursor = None
+        self._loader, cursor, self._cursor = self.loader(self._phase_spec()), self._cursor, None
+        if cursor is not None:
+            self._loader.load_state_dict(cursor)
         return self._loader
 
     def val_dataloader(self) -> FixedBatches | FixedPairs:
-        """Held-out trajectories of what the phase trains on."""
         batch_spec = self._phase_spec()
         datasets = self._tables(batch_spec)
         if batch_spec.steps == "none":
@@ -238,11 +223,9 @@ class TransferDataModule(LightningDataModule):
         return FixedBatches(datasets, self.rows(tasks, "val", batch_spec.next_observation), size, batch_spec)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
-        """Walk through a batch only if there is somewhere to move it."""
-        if device.type == "cpu":
+        if device.type == "cpu":  # nowhere to move it, so nothing to walk through
             return batch
-        moved: Batch = super().transfer_batch_to_device(batch, device, dataloader_idx)
-        return moved
+        return cast("Batch", super().transfer_batch_to_device(batch, device, dataloader_idx))
 
     def _phase_spec(self) -> BatchSpec:
         return BatchSpec() if self.trainer is None else cast("BatchSpec", self.trainer.lightning_module.batch_spec)
@@ -253,11 +236,9 @@ class TransferDataModule(LightningDataModule):
         return ("train", "val") if self.val_fraction > 0 else ("train",)
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the training loader stands."""
         return {} if self._loader is None else dict(self._loader.state_dict())
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Let the next training loader go on where ``state_dict`` was taken."""
         self._cursor = state_dict or None
 
 
@@ -265,7 +246,6 @@ def _lack(path: Path, missing: Mapping[str, Mapping[str, int]]) -> str:
     domain, tasks = next(iter(missing.items()))
     task, count = next(iter(tasks.items()))
     total = sum(sum(t.values()) for t in missing.values())
-    return (
-        f"{path}: {total} demonstrations are missing (first: {count} of task {task!r} in domain {domain!r}) and the "
-        "experiment has no simulator and expert to collect them; import them or name another file with --data.file"
-    )
+    found = f"{total} demonstrations are missing (first: {count} of task {task!r} in domain {domain!r})"
+    remedy = "import them or name another file with --data.file"
+    return f"{path}: {found} and the experiment has no simulator and expert to collect them; {remedy}"

@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from datamodules.errors import ConfigError
-from plp_lightning.cli.config import help_parser, option_values, parse
+from plp_lightning.cli.config import option_values, parse
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
 from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
@@ -28,9 +28,7 @@ EXPERT_STEPS = 3_000_000  # Enough for a gait that falls over in few episodes; a
 
 def run_fit(arguments: Sequence[str]) -> None:
     """``plp fit``: a new run, a phase of it, or the rest of an interrupted one."""
-    if _asks_for_help(arguments):
-        _fit_options().print_help()
-        help_parser(arguments).print_help()
+    if _helped(arguments, _fit_options()):
         return
     options, rest = _fit_options().parse_known_args(list(arguments))
     if options.print_config:
@@ -56,9 +54,8 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
     run = RunDirectory.open(path)
     trusted = [f"--allow_imports={name}" for name in option_values(rest, "allow_imports")]
     if others or len(rest) > 2 * len(trusted):
-        raise ConfigError(
-            f"--resume goes on with the configuration in {run.config}; drop all options but --allow_imports"
-        )
+        remedy = "drop all options but --allow_imports"
+        raise ConfigError(f"--resume goes on with the configuration in {run.config}; {remedy}")
     if run.status()["state"] == "done" and run.results.exists():
         print_results(run.read_json(run.results.name), run)
         print(f"{path}: done already; nothing was changed")
@@ -78,34 +75,28 @@ def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> li
     if phase is None and origin is None:
         return names
     if phase is None or (phase in names[:1] and origin is not None):
-        raise ConfigError(
-            f"--from {origin} stands in for the phases before --phase; name one of {', '.join(names[1:])}"
-        )
+        later = ", ".join(names[1:])
+        raise ConfigError(f"--from {origin} stands in for the phases before --phase; name one of {later}")
     if phase not in names:
         raise ConfigError(f"--phase is {phase!r}; the phases of method {experiment.method!r} are {', '.join(names)}")
-    if names.index(phase) > 0 and origin is None:
-        raise ConfigError(
-            f"--phase {phase} goes on from an earlier phase; name the run that holds it with --from RUN_DIR"
-        )
+    if phase != names[0] and origin is None:
+        remedy = "name the run that holds it with --from RUN_DIR"
+        raise ConfigError(f"--phase {phase} goes on from an earlier phase; {remedy}")
     return [phase]
 
 
 def _check_origin(experiment: Experiment, path: Path) -> None:
     """A policy that was aligned on other tasks may have seen the target task in the target domain."""
-    found = parse(["--config", str(RunDirectory.open(path).config)]).data
-    if found.proxy_tasks != experiment.data.proxy_tasks:
-        wanted = experiment.data
-        raise ConfigError(
-            f"{path}: is aligned on {', '.join(found.proxy_tasks)} (for target {found.target_task!r}), but target "
-            f"{wanted.target_task!r} asks for {', '.join(wanted.proxy_tasks)}; name a run with this target"
-        )
+    found, wanted = parse(["--config", str(RunDirectory.open(path).config)]).data, experiment.data
+    if found.proxy_tasks != wanted.proxy_tasks:
+        told = f"is aligned on {', '.join(found.proxy_tasks)} (for target {found.target_task!r})"
+        asked = f"target {wanted.target_task!r} asks for {', '.join(wanted.proxy_tasks)}"
+        raise ConfigError(f"{path}: {told}, but {asked}; name a run with this target")
 
 
 def run_collect(arguments: Sequence[str]) -> None:
-    """``plp collect``: the demonstrations that an experiment lacks, or the training of who demonstrates."""
-    if _asks_for_help(arguments):
-        _collect_options().print_help()
-        help_parser(arguments).print_help()
+    """``plp collect``: the demonstrations that an experiment lacks, or the training of an expert."""
+    if _helped(arguments, _collect_options()):
         return
     options, rest = _collect_options().parse_known_args(list(arguments))
     experiment = parse(rest)
@@ -115,11 +106,7 @@ def run_collect(arguments: Sequence[str]) -> None:
     missing = sum(sum(tasks.values()) for tasks in experiment.data.missing().values())
     with stoppable():
         experiment.data.prepare_data()
-    print(
-        f"{experiment.data.path}: {missing} demonstrations collected"
-        if missing
-        else f"{experiment.data.path}: complete"
-    )
+    print(f"{experiment.data.path}: {f'{missing} demonstrations collected' if missing else 'complete'}")
 
 
 def _train_expert(experiment: Experiment, options: argparse.Namespace) -> None:
@@ -184,9 +171,8 @@ def _of_run(path: Path, rest: list[str], options: argparse.Namespace) -> Assessm
 def _subject_options(verb: str, description: str) -> OptionParser:
     usage = f"plp {verb} RUN_DIR [options]\n       plp {verb} --config FILE … --checkpoint FILE [options]"
     parser = OptionParser(f"plp {verb}", usage=usage, description=description, allow_abbrev=False)
-    parser.add_argument(
-        "--checkpoint", type=Path, help="checkpoint, to be used with --config instead of a run directory"
-    )
+    told = "checkpoint, to be used with --config instead of a run directory"
+    parser.add_argument("--checkpoint", type=Path, help=told)
     parser.add_argument("--phase", help="phase whose checkpoint to use; the last one if not given")
     parser.add_argument("--which", choices=["last", "best"], default="last", help="which checkpoint of the phase")
     return parser
@@ -205,17 +191,21 @@ def _fit_options() -> OptionParser:
 def _collect_options() -> OptionParser:
     description = "Collect the demonstrations that an experiment lacks, or train the expert who demonstrates."
     parser = OptionParser("plp collect", description=description, add_help=False, allow_abbrev=False)
-    parser.add_argument(
-        "--train_expert", "--train-expert", metavar="DOMAIN", help="train this walker's expert instead of collecting"
-    )
+    told = "train this walker's expert instead of collecting"
+    parser.add_argument("--train_expert", "--train-expert", metavar="DOMAIN", help=told)
     parser.add_argument("--weights", type=Path, metavar="FILE", help="where to write it, a .safetensors file")
     parser.add_argument("--steps", type=positive, help=f"control steps to train for; {EXPERT_STEPS} if not given")
     return parser
 
 
-def _asks_for_help(arguments: Sequence[str]) -> bool:
-    return any(argument in ("-h", "--help") for argument in arguments)
+def _helped(arguments: Sequence[str], options: OptionParser) -> bool:
+    """Print all help if it is asked for; tell whether it was."""
+    asked = not {"-h", "--help"}.isdisjoint(arguments)
+    for parser in (options, help_parser(arguments)) if asked else ():
+        parser.print_help()
+    return asked
 
 
 def _environment() -> dict[str, object]:
-    return {"command": shlex.join(["plp", *sys.argv[1:]]), "platform": platform.platform(), "versions": versions()}
+    command = shlex.join(["plp", *sys.argv[1:]])
+    return {"command": command, "platform": platform.platform(), "versions": versions()}

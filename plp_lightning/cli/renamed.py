@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from datamodules.errors import ConfigError
@@ -17,58 +17,38 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
 CLASSES = {"FlatPolicy": "BCPolicy", "FlatCloning": "BCCloning", "FlatAdaptation": "BCAdaptation"}
 """New short names of classes."""
 POLICY = {"image_channels": "image_encoder.channels", "image_features": "image_encoder.features", "clip": ""}
-"""Where settings of policies are now; nowhere, if that is empty."""
-PHASE = {
-    "lr": "optimizer.init_args.lr",
-    "weight_decay": "optimizer.init_args.weight_decay",
-    "lr_schedule": "lr_scheduler",
-}
-"""Where settings of all phases are now."""
+"""Places of settings of policies now; none, if that is empty."""
+OPTIMIZER = {name: f"optimizer.init_args.{name}" for name in ("lr", "weight_decay", "first_moment")}
+PHASE = {"lr": OPTIMIZER["lr"], "weight_decay": OPTIMIZER["weight_decay"], "lr_schedule": "lr_scheduler"}
+"""Places of settings of all phases now."""
 ALIGNMENT = {
-    "mmd_weight": "terms.mmd.init_args.weight",
-    "mmd_bandwidths": "terms.mmd.init_args.bandwidths",
-    "mmd_scale_gradient": "terms.mmd.init_args.scale_gradient",
-    "tcc_weight": "terms.tcc.init_args.weight",
-    "tcc_similarity": "terms.tcc.init_args.similarity",
+    **{f"mmd_{name}": f"terms.mmd.init_args.{name}" for name in ("weight", "bandwidths", "scale_gradient")},
+    **{f"tcc_{name}": f"terms.tcc.init_args.{name}" for name in ("weight", "similarity")},
     "adversarial_weight": "terms.adversarial.init_args.weight",
     "penalty_weight": "terms.adversarial.init_args.penalty_weight",
-    "discriminator_layers": "terms.adversarial.init_args.layers",
-    "discriminator_hidden": "terms.adversarial.init_args.hidden",
+    **{f"discriminator_{name}": f"terms.adversarial.init_args.{name}" for name in ("layers", "hidden")},
     "reconstruction_weight": "terms.reconstruction.init_args.weight",
     "reconstruction_halvings": "terms.reconstruction.init_args.downsampling",
 }
-"""Where settings of the portable policy's alignment are now."""
+"""Places of settings of the portable policy's alignment now."""
 CDIL = {
-    "adversarial_weight": "weights.adversarial",
-    "cycle_weight": "weights.cycle",
-    "latent_weight": "weights.latent",
-    "position_weight": "weights.position",
-    "penalty_weight": "weights.penalty",
-    "first_moment": "optimizer.init_args.first_moment",
+    **{f"{name}_weight": f"weights.{name}" for name in ("adversarial", "cycle", "latent", "position", "penalty")},
+    "first_moment": OPTIMIZER["first_moment"],
     "slowdown": "lr_scheduler.init_args.share",
 }
-"""Where settings of CDIL's alignment are now."""
+"""Places of settings of CDIL's alignment now."""
 TERMS = {"mmd": "MMD", "adversarial": "DomainAdversarial", "tcc": "TCC"}
 """Classes of the terms that once were words in a list."""
-VALUES: Mapping[str, Callable[[Any], Any]] = {
-    "lr_schedule": lambda word: {"class_path": "CosineDecay"} if word == "cosine" else None
-}
+VALUES = {"lr_schedule": lambda word: {"class_path": "CosineDecay"} if word == "cosine" else None}
 """What becomes of values that are told in another way now."""
 OLD_CLIP = 5.0  # The only bound of z-scored inputs that there is now
 
 
 def rename(tree: Tree, phases: list[str]) -> tuple[Tree, list[str]]:
-    """A configuration in today's names.
-
-    Args:
-        tree: As read from a file.
-        phases: Names of phases, each a key.
-
-    Returns:
-        The configuration, and for each old name ``old is new``.
+    """A configuration, as read from a file, in today's names, and for each old name ``old is new``.
 
     Raises:
-        ConfigError: If it sets what can't be set any more to another value.
+        ConfigError: If a setting that is gone has another value than it always has now.
     """
     found: list[str] = []
     renamed = {key: _group(key, value, found) if key in GROUPS else value for key, value in _classes(tree).items()}
@@ -83,12 +63,7 @@ def rename(tree: Tree, phases: list[str]) -> tuple[Tree, list[str]]:
 
 
 def rename_flag(key: str, tree: Tree) -> str:
-    """Today's name of a flag such as ``data.target``.
-
-    Args:
-        key: The flag, without dashes.
-        tree: The configuration that it is laid over, which says which class a phase is of.
-    """
+    """Today's name of a flag such as ``data.target``, laid over a configuration that knows the classes of phases."""
     head, _, name = key.replace(".init_args.", ".").partition(".")
     new = GROUPS.get(head, {}).get(name)
     if new is None and name not in VALUES and isinstance(tree.get(head), Mapping):

@@ -1,4 +1,4 @@
-"""What the runs found: their ``results.json``, read, checked, and comparable with one another."""
+"""Results of runs: their ``results.json``, read, checked, and comparable with one another."""
 
 from __future__ import annotations
 
@@ -70,16 +70,13 @@ def read_records(paths: Sequence[Path]) -> list[Record]:
             that would be averaged were made with different settings.
     """
     contents = {file.resolve(): content for path in paths for file, content in _results(path).items()}
+    records = {file: _record(file, contents[file]) for file in sorted(contents)}
     found: dict[tuple[str, str, str, int], Path] = {}
-    records: dict[Path, Record] = {}
-    for file, content in sorted(contents.items(), key=lambda item: item[0]):
-        record = _record(file, content)
+    for file, record in records.items():
         key = (record.experiment, record.method, record.target, record.seed)
-        if key in found:
+        if found.setdefault(key, file) != file:
             raise ConfigError(f"{file} and {found[key]} hold the same run {'/'.join(map(str, key))}; name one of them")
-        found[key] = file
-        records[file] = record
-    check_settings(records)
+    _check_settings(records)
     return [*records.values()]
 
 
@@ -89,14 +86,11 @@ def _results(path: Path) -> dict[Path, Any]:
     if path.is_file():
         return {path: _read(path)}
     contents = {file: _read(file) for file in path.rglob("*.json")}
-    results = {file: content for file, content in contents.items() if _is_result(content)}
+    keys = {"experiment", "method", "target_task", "target"}
+    results = {file: content for file, content in contents.items() if isinstance(content, dict) and keys <= {*content}}
     if not results:
         raise ConfigError(f"{path}: found no results.json below it; expected directories of finished runs")
     return results
-
-
-def _is_result(content: Any) -> bool:
-    return isinstance(content, dict) and {"experiment", "method", "target_task", "target"} <= content.keys()
 
 
 def _read(file: Path) -> Any:
@@ -118,8 +112,8 @@ def _record(file: Path, content: Any) -> Record:
             low=float(target["interval"][0]),
             high=float(target["interval"][1]),
             before=_before(content),
-            source=_success(content, "source"),
-            proxy=_success(content, "proxy"),
+            source=float(content["source"]["success"]) if "source" in content else None,
+            proxy=float(content["proxy"]["success"]) if "proxy" in content else None,
             alignment={str(name): float(value) for name, value in content["alignment"].items()},
             seconds=sum(float(value) for name, value in content["seconds"].items() if name != "collection"),
             settings=None if content.get("settings") is None else dict(content["settings"]),
@@ -130,24 +124,17 @@ def _record(file: Path, content: Any) -> Record:
         raise ConfigError(f"{file}: not a run's results ({reason}); expected what plp fit wrote") from None
 
 
-def _success(content: Mapping[str, Any], trial: str) -> float | None:
-    return float(content[trial]["success"]) if trial in content else None
-
-
 def _before(content: Mapping[str, Any]) -> float | None:
     older = "settings" not in content and content["method"] in UNTRAINED_BEFORE
     before = content["target"]["before"]
     return None if before is None or older else float(before)
 
 
-def check_settings(records: Mapping[Path, Record]) -> None:
-    """Compares runs of one method on one experiment; runs whose settings nobody wrote down are left out.
-
-    Args:
-        records: Runs by the file that holds their results.
+def _check_settings(records: Mapping[Path, Record]) -> None:
+    """Compares runs, by file, of one method on one experiment, but those whose settings nobody wrote down.
 
     Raises:
-        ConfigError: If two of them differ in what is learned.
+        ConfigError: If two of them differ in a setting that changes what is learned.
     """
     first: dict[tuple[str, str], tuple[Path, Mapping[str, Any]]] = {}
     for file, record in records.items():
@@ -156,11 +143,9 @@ def check_settings(records: Mapping[Path, Record]) -> None:
         own = {key: value for key, value in record.settings.items() if not _indifferent(key)}
         other_file, other = first.setdefault((record.experiment, record.method), (file, own))
         if own != other:
-            raise ConfigError(
-                f"{other_file} and {file} are runs of {record.method} on {record.experiment}, but differ in "
-                f"{_differences(other, own)}; expected runs with the same settings, which can be averaged: "
-                "report them apart"
-            )
+            runs = f"{other_file} and {file} are runs of {record.method} on {record.experiment}"
+            expected = "expected runs with the same settings, which can be averaged: report them apart"
+            raise ConfigError(f"{runs}, but differ in {_differences(other, own)}; {expected}")
 
 
 def _indifferent(key: str) -> bool:

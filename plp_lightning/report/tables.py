@@ -35,22 +35,17 @@ def paper_values() -> Paper:
 def markdown(records: Sequence[Record]) -> str:
     """The report: methods by the mean over their runs, methods on the same target task and seed, and every run."""
     ordered = sorted(records, key=_rank)
+    header = ["experiment", "method", "runs", "success", "before adaptation", "the paper"]
+    unknown = any(record.settings is None for record in records)
     return "\n".join(
         [
-            "# Success rates",
-            "",
-            "Target task in the target domain, mean ± standard deviation over runs.",
-            "",
-            *_rows(["experiment", "method", "runs", "success", "before adaptation", "the paper"], _methods(ordered)),
-            "",
-            *_remark(ordered),
+            *("# Success rates", ""),
+            *("Target task in the target domain, mean ± standard deviation over runs.", ""),
+            *(*_rows(header, _methods(ordered)), ""),
+            *([f"{MARK} settings not recorded: these results are older than that record.", ""] if unknown else []),
             *_side_by_side(ordered),
-            "## Runs",
-            "",
-            "Success with its 95 % interval; alignment scores on proxy tasks.",
-            "",
-            *_runs(ordered),
-            "",
+            *("## Runs", "", "Success with its 95 % interval; alignment scores on proxy tasks.", ""),
+            *(*_runs(ordered), ""),
         ]
     )
 
@@ -75,10 +70,9 @@ def _names(records: Sequence[Record], field: str) -> set[str]:
 
 
 def _rank(record: Record) -> tuple[int, str, int, str, str, int]:
-    """Order of the paper; what it doesn't know comes last, by name."""
-    experiments = list(paper_values())
-    methods = list(paper_values().get(record.experiment, {}))
-    places = (*_place(record.experiment, experiments), *_place(record.method, methods))
+    """Order of the paper; names that it doesn't know come last."""
+    experiment, method = record.experiment, record.method
+    places = (*_place(experiment, [*paper_values()]), *_place(method, [*paper_values().get(experiment, {})]))
     return (*places, record.target, record.seed)
 
 
@@ -97,11 +91,6 @@ def _methods(ordered: Sequence[Record]) -> list[list[str]]:
         success = _spread([record.success for record in group])
         rows.append([experiment, method, f"{len(group)}{mark}", success, _spread(before), _pair(paper)])
     return rows
-
-
-def _remark(records: Sequence[Record]) -> list[str]:
-    unknown = any(record.settings is None for record in records)
-    return [f"{MARK} settings not recorded: these results are older than that record.", ""] if unknown else []
 
 
 def _side_by_side(ordered: Sequence[Record]) -> list[str]:
@@ -135,18 +124,15 @@ def _rate(rate: float | None) -> str:
 
 def _runs(ordered: Sequence[Record]) -> list[str]:
     header = ["experiment", "method", "target", "seed", "success", "before", "source", "proxies", "alignment"]
-    rows = [_run(record) for record in ordered]
-    if _names(ordered, "behaviour"):
-        header.append("behaviour")
-        rows = [[*row, _named(record.behaviour)] for row, record in zip(rows, ordered, strict=True)]
-    return _rows(header, rows)
+    measured = bool(_names(ordered, "behaviour"))
+    return _rows([*header, *["behaviour"] * measured], [_run(record, measured) for record in ordered])
 
 
-def _run(record: Record) -> list[str]:
+def _run(record: Record, measured: bool) -> list[str]:
     success = f"{record.success:.2f} ({record.low:.2f} – {record.high:.2f})"
     others = [_rate(rate) for rate in (record.before, record.source, record.proxy)]
     names = [record.experiment, record.method, record.target, str(record.seed)]
-    return [*names, success, *others, _named(record.alignment)]
+    return [*names, success, *others, _named(record.alignment), *[_named(record.behaviour)] * measured]
 
 
 def _named(values: Mapping[str, float]) -> str:

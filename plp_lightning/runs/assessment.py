@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from datamodules.store.atomic import locked_folder, replacing
+from datamodules.store.atomic import locked_folder, replacing, write_atomically
 from plp_lightning.methods.policy import Policy
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
@@ -19,17 +19,11 @@ from plp_lightning.runs.policies import load_policy_weights
 
 @dataclass(frozen=True)
 class Assessment:
-    """An experiment and the checkpoint that is looked at.
-
-    Args:
-        experiment: Domains, data and how to evaluate.
-        checkpoint: The policy's weights.
-        folder: Where results go if nothing else is said.
-    """
+    """An experiment and the checkpoint that is looked at."""
 
     experiment: Experiment
     checkpoint: Path
-    folder: Path
+    folder: Path  # of results, if no other is named
 
     @cached_property
     def policy(self) -> Policy:
@@ -51,36 +45,33 @@ class Assessment:
 
     def write(self, path: Path, record: dict[str, Any]) -> None:
         """Write a record as JSON, in one visible step."""
-        with locked_folder(path.resolve().parent), replacing(path.resolve()) as temporary:
-            temporary.write_text(json.dumps(record | {"checkpoint": str(self.checkpoint)}, indent=2) + "\n")
+        write_atomically(path, json.dumps(record | {"checkpoint": str(self.checkpoint)}, indent=2) + "\n")
 
 
-def held_out_predictions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _held_out_actions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in."""
     policy, data = assessment.policy, assessment.experiment.data
-    found, rows_of = {}, data.rows([*data.proxy_tasks, *data.target_tasks], "val")
-    for domain, rows in ((domain, rows_of[domain]) for domain in rows_of if domain in policy.acts_in):
-        steps = data.datasets[domain].take(torch.from_numpy(rows))
-        with torch.inference_mode():
-            action = policy.predict_actions({domain: steps.observation}, {domain: steps.task})[domain]
-        found[domain] = (action.numpy(), steps.action.numpy())
+    found = {}
+    for domain, rows in data.rows([*data.proxy_tasks, *data.target_tasks], "val").items():
+        if domain in policy.acts_in:
+            steps = data.datasets[domain].take(torch.from_numpy(rows))
+            with torch.inference_mode():
+                action = policy.predict_actions({domain: steps.observation}, {domain: steps.task})[domain]
+            found[domain] = (action.numpy(), steps.action.numpy())
     return found
 
 
 def held_out_losses(assessment: Assessment) -> dict[str, float]:
     """Behavioural-cloning loss on held-out trajectories, by domain (Eq. 1)."""
-    pairs = held_out_predictions(assessment)
+    pairs = _held_out_actions(assessment)
     return {f"val/bc_{d}": float(((p - a) ** 2).mean()) for d, (p, a) in pairs.items()}
 
 
 def predict_actions(assessment: Assessment, path: Path) -> str:
-    """Write ``<domain>/predicted`` and ``<domain>/demonstrated`` to an .npz file; say what was written."""
-    pairs = held_out_predictions(assessment)
-    arrays = {
-        f"{d}/{name}": x
-        for d, pair in pairs.items()
-        for name, x in zip(("predicted", "demonstrated"), pair, strict=True)
-    }
+    """Write ``<domain>/predicted`` and ``<domain>/demonstrated``, each ``(N, A)``, to an .npz file; tell their size."""
+    pairs = _held_out_actions(assessment)
+    arrays = {f"{domain}/predicted": predicted for domain, (predicted, _) in pairs.items()}
+    arrays |= {f"{domain}/demonstrated": demonstrated for domain, (_, demonstrated) in pairs.items()}
     with locked_folder(path.resolve().parent), replacing(path.resolve()) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
     return f"{path}: {sum(len(p) for p, _ in pairs.values())} steps of {', '.join(pairs)}"

@@ -13,7 +13,7 @@ from plp_lightning.runs.experiment import Experiment
 
 
 def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
-    """Collect what is missing, check what is there, and write down how long it took and what was found.
+    """Collect missing demonstrations, check all of them, and write down the time that it took and their hash.
 
     Raises:
         TrajectoryFileError: If a value is not finite, or the demonstrations are not those that the run began with.
@@ -29,18 +29,13 @@ def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
 
 
 def check_finite(data: TransferDataModule) -> None:
-    """Refuse to train on what is no number.
-
-    Raises:
-        TrajectoryFileError: If an observation or an action is not finite.
-    """
+    """Refuse, by a :class:`TrajectoryFileError`, states ``(N + L, O)`` and actions ``(N, A)`` that are not finite."""
     for domain, dataset in data.datasets.items():
         for name, values in (("observations", dataset.observation.state), ("actions", dataset.action)):
             if not torch.isfinite(values).all():
-                raise TrajectoryFileError(
-                    f"{data.path}: {name} of domain {domain!r} hold values that are not finite; "
-                    f"expected numbers: see plp data validate {data.path}"
-                )
+                found = f"{name} of domain {domain!r} hold values that are not finite"
+                remedy = f"expected numbers: see plp data validate {data.path}"
+                raise TrajectoryFileError(f"{data.path}: {found}; {remedy}")
 
 
 def _same_fingerprint(data: TransferDataModule, run: RunDirectory) -> str:

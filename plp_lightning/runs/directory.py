@@ -11,7 +11,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from datamodules.errors import ConfigError
-from datamodules.store.atomic import locked_folder, replacing
+from datamodules.store.atomic import write_atomically
 
 
 class RunDirectory:
@@ -31,10 +31,10 @@ class RunDirectory:
         """Begin a run; nothing that exists is overwritten.
 
         Args:
-            path: Where.
+            path: The new directory.
             config: The resolved configuration as YAML.
             environment: Command, platform and versions.
-            plan: What a resumed run needs to know too: the phases that are ``wanted`` and their ``origin``.
+            plan: The phases that are ``wanted`` and their ``origin``, for a resumed run.
 
         Raises:
             ConfigError: If there is a run at ``path`` already.
@@ -49,16 +49,12 @@ class RunDirectory:
         path.mkdir(parents=True, exist_ok=True)
         run.write_json("environment.json", environment)
         run.write_json("status.json", {"state": "new", **(plan or {}), "phases": {}})
-        run.write_text("config.yaml", config)
+        write_atomically(run.config, config)
         return run
 
     @classmethod
     def open(cls, path: Path) -> RunDirectory:
-        """A run that was begun before.
-
-        Raises:
-            ConfigError: If there is none at ``path``.
-        """
+        """Open a run that was begun before; a :class:`ConfigError` says if there is none at ``path``."""
         run = cls(path)
         if not run.config.is_file():
             raise ConfigError(f"{path}: is no run directory (it has no config.yaml); name one made by plp fit")
@@ -71,11 +67,11 @@ class RunDirectory:
 
     @property
     def results(self) -> Path:
-        """What the run found; written when its last phase is done."""
+        """Results of the run; written when its last phase is done."""
         return self.path / "results.json"
 
     def phase(self, name: str) -> Path:
-        """Where a phase keeps its curves and checkpoints."""
+        """Folder of a phase's curves and checkpoints."""
         return self.path / name
 
     def checkpoint(self, phase: str, which: str = "last") -> Path:
@@ -83,39 +79,27 @@ class RunDirectory:
         return self.phase(phase) / "checkpoints" / f"{which}.ckpt"
 
     def status(self) -> dict[str, Any]:
-        """State of the run and of each of its phases.
-
-        Raises:
-            ConfigError: If the file is damaged.
-        """
+        """State of the run and of each of its phases; a :class:`ConfigError` says if the file is damaged."""
         status = {"state": "new", "phases": {}, **self.read_json("status.json")}
         phases = status["phases"]
         if not isinstance(phases, dict) or not all(isinstance(record, dict) for record in phases.values()):
-            raise ConfigError(
-                f"{self.path / 'status.json'}: 'phases' is {phases!r}; "
-                "expected a record for each phase: restore the file or begin a new run"
-            )
+            expected = "expected a record for each phase: restore the file or begin a new run"
+            raise ConfigError(f"{self.path / 'status.json'}: 'phases' is {phases!r}; {expected}")
         return status
 
     def update_status(self, state: str, phase: str | None = None, record: Mapping[str, Any] | None = None) -> None:
         """Set the run's state and, if named, a phase's record."""
-        status = self.status()
-        status["state"] = state
+        status = self.status() | {"state": state}
         if phase is not None:
             status["phases"].setdefault(phase, {}).update(record or {})
         self.write_json("status.json", status)
 
     def phase_record(self, phase: str) -> dict[str, Any]:
-        """What is known of a phase; empty before it has begun."""
-        record: dict[str, Any] = self.status()["phases"].get(phase, {})
-        return record
+        """Record of a phase; empty before it has begun."""
+        return dict(self.status()["phases"].get(phase, {}))
 
     def read_json(self, name: str) -> dict[str, Any]:
-        """A record; empty if there is none.
-
-        Raises:
-            ConfigError: If the file is damaged.
-        """
+        """A record, empty if there is none; a :class:`ConfigError` says if the file is damaged."""
         file = self.path / name
         if not file.exists():
             return {}
@@ -129,26 +113,14 @@ class RunDirectory:
 
     def write_json(self, name: str, record: Mapping[str, Any]) -> None:
         """Write a record in one visible step."""
-        self.write_text(name, json.dumps(record, indent=2) + "\n")
-
-    def write_text(self, name: str, text: str) -> None:
-        """Write a text file in one visible step."""
-        with locked_folder(self.path), replacing(self.path / name) as temporary:
-            temporary.write_text(text)
+        write_atomically(self.path / name, json.dumps(record, indent=2) + "\n")
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other processes out of this run.
-
-        Raises:
-            ConfigError: If another process works on it.
-        """
-        lock = FileLock(self.path / ".lock", timeout=0)
+        """Keep other processes out of this run; a :class:`ConfigError` says if one works on it."""
         try:
-            lock.acquire()
+            lock = FileLock(self.path / ".lock", timeout=0).acquire()
         except Timeout:
             raise ConfigError(f"{self.path}: another process works on this run; wait for it or stop it") from None
-        try:
+        with lock:
             yield
-        finally:
-            lock.release()

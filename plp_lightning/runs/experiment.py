@@ -1,4 +1,4 @@
-"""What a configuration describes: an experiment, a method, and how to run them."""
+"""Experiments as configurations describe them, with the method that is run on them."""
 
 from __future__ import annotations
 
@@ -128,26 +128,18 @@ class Experiment:
 
 
 NAME = re.compile(r"(?!\.+$)[\w.-]{1,64}", re.ASCII)
-"""What can name a folder: no separators, no way out of the folder above."""
+"""Names of folders: no separators, no way out of the folder above."""
 
 
 def check_names(names: Mapping[str, str]) -> None:
-    """Names that become folders have to stay below the run root.
-
-    Raises:
-        ConfigError: If one does not.
-    """
+    """Refuse, by a :class:`ConfigError`, names of folders that would not stay below the run root."""
     for key, name in names.items():
         if not NAME.fullmatch(name):
             raise ConfigError(f"{key} is {name!r}; expected up to 64 letters, digits, '.', '_' and '-'; rename it")
 
 
 def check_roles(domains: Mapping[str, Domain], source: str, target: str) -> None:
-    """Source and target domain have to be two domains of the experiment.
-
-    Raises:
-        ConfigError: If they are not.
-    """
+    """Refuse, by a :class:`ConfigError`, source and target unless they are two domains of the experiment."""
     for key, name in (("source_domain", source), ("target_domain", target)):
         if name not in domains:
             raise ConfigError(f"--data.{key} is {name!r}; the domains of this experiment are {', '.join(domains)}")

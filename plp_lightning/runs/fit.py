@@ -6,7 +6,7 @@ import copy
 import hashlib
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -60,8 +60,8 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     interrupted anywhere takes the same way as an unbroken one.
 
     Args:
-        experiment: What to run.
-        run: Where to keep it.
+        experiment: The experiment.
+        run: Directory of the run.
         phases: Names of the phases to run, in order.
         origin: Run whose phases stand in for those before the first of ``phases``.
     """
@@ -72,7 +72,7 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
         prepare_demonstrations(experiment, run)
         for name in phases:
             if run.phase_record(name).get("state") != "done":
-                run_phase(experiment, run, name, _weights_before(experiment, run, name, origin))
+                _run_phase(experiment, run, name, _weights_before(experiment, run, name, origin))
         write_results(experiment, run, origin)
         run.update_status("done")
 
@@ -86,15 +86,8 @@ def _failures_noted(run: RunDirectory) -> Iterator[None]:
         raise
 
 
-def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None) -> None:
-    """Train one phase, from its own last checkpoint if it was interrupted, and evaluate what it gives.
-
-    Args:
-        experiment: What to run.
-        run: Where to keep it.
-        name: The phase.
-        weights: Checkpoint of the phase before; None for the first.
-    """
+def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None) -> None:
+    """Train one phase from ``weights``, or from its own last checkpoint if it was interrupted, and evaluate it."""
     stopwatch = Stopwatch(run, name)
     run.update_status("running", name, {"state": "running"})
     with stopwatch.running():
@@ -103,21 +96,18 @@ def run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pat
         if weights is not None:
             load_policy_weights(policy, weights)
         phase = experiment.phases[name](policy)
-        last = run.checkpoint(name)
-        resumed_step = _step_of(last) if last.exists() else None
-        trainer = build_trainer(experiment, run, name, phase, resumed_step, [stopwatch])
-        trainer.fit(phase, datamodule=experiment.data, ckpt_path=last if last.exists() else None, weights_only=True)
+        last = run.checkpoint(name) if run.checkpoint(name).exists() else None
+        trainer = _build_trainer(experiment, run, name, phase, _step_of(last) if last else None, stopwatch)
+        trainer.fit(phase, datamodule=experiment.data, ckpt_path=last, weights_only=True)
         record = assess(experiment, phase, trainer)
         log_hyperparameters(trainer, experiment, record)
-    run.update_status("running", name, record | {"state": "done", "device": device_name(trainer.strategy.root_device)})
+    device = trainer.strategy.root_device
+    told = torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
+    run.update_status("running", name, record | {"state": "done", "device": told})
 
 
 def check_trainer(experiment: Experiment) -> None:
-    """Find out whether Lightning accepts the ``trainer`` settings, before anything is written.
-
-    Raises:
-        ConfigError: If it does not.
-    """
+    """Refuse, by a :class:`ConfigError`, ``trainer`` settings that Lightning won't accept, before writing anything."""
     quiet_lightning()
     try:
         Trainer(**experiment.trainer, logger=False, enable_checkpointing=False, enable_progress_bar=False)
@@ -126,11 +116,7 @@ def check_trainer(experiment: Experiment) -> None:
 
 
 def check_method(experiment: Experiment) -> None:
-    """Find out whether the policy and all phases can be built, before minutes are spent on collecting demonstrations.
-
-    Raises:
-        ConfigError: If one of their settings doesn't suit the domains.
-    """
+    """Build the policy and all phases once, so that wrong settings show before minutes are spent on demonstrations."""
     specs = [simulator.spec(name) for name, simulator in experiment.simulators.items()]
     data = experiment.data
     policy = experiment.policy(TransferProblem(specs, data.tasks, data.source_domain, data.target_domain))
@@ -138,38 +124,20 @@ def check_method(experiment: Experiment) -> None:
         build(policy)
 
 
-def build_trainer(
-    experiment: Experiment,
-    run: RunDirectory,
-    name: str,
-    phase: Phase,
-    resumed_step: int | None,
-    further: Sequence[Callback] = (),
+def _build_trainer(
+    experiment: Experiment, run: RunDirectory, name: str, phase: Phase, resumed_step: int | None, stopwatch: Stopwatch
 ) -> Trainer:
-    """Lightning's Trainer with what every phase of this project needs around its steps.
-
-    Args:
-        experiment: What to run.
-        run: Where to keep it.
-        name: The phase's name.
-        phase: The phase.
-        resumed_step: Step of the checkpoint that training goes on from; curves beyond it are dropped.
-        further: Callbacks beside the project's own and those of the configuration.
-    """
+    """Lightning's Trainer with all that is done around a phase's steps; curves beyond ``resumed_step`` are dropped."""
     quiet_lightning()
-    folder = run.phase(name)
-    settings = {key: value for key, value in experiment.trainer.items() if key != "max_epochs"}
+    settings = {**experiment.trainer, "max_epochs": experiment.trainer["max_epochs"] or phase.epochs}
     if experiment.data.val_fraction == 0:
         settings["limit_val_batches"] = 0
+    curves = TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed_step)
     return Trainer(
         **settings,
-        max_epochs=experiment.trainer["max_epochs"] or phase.epochs,
         default_root_dir=run.path,
-        logger=[
-            TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed_step),
-            MetricsFile(folder),
-        ],
-        callbacks=[*_own_callbacks(experiment, run, name, phase), *further, *copy.deepcopy(list(experiment.callbacks))],
+        logger=[curves, MetricsFile(run.phase(name))],
+        callbacks=[*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])],
         plugins=[AtomicCheckpointIO()],
         enable_progress_bar=False,
     )
@@ -214,11 +182,6 @@ def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -
     return {name: found.to_dict() for name, found in outcomes.items()}
 
 
-def device_name(device: torch.device) -> str:
-    """Gives ``cpu``, or the name of a GPU such as ``NVIDIA H100 80GB HBM3``."""
-    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
-
-
 def _step_of(checkpoint: Path) -> int:
     content = read_checkpoint(checkpoint)
     if "global_step" not in content:
@@ -228,10 +191,9 @@ def _step_of(checkpoint: Path) -> int:
 
 def _weights_before(experiment: Experiment, run: RunDirectory, name: str, origin: RunDirectory | None) -> Path | None:
     names = list(experiment.phases)
-    position = names.index(name)
-    if position == 0:
+    if name == names[0]:
         return None
-    before = names[position - 1]
+    before = names[names.index(name) - 1]
     giver = run if run.checkpoint(before).exists() or origin is None else origin
     weights = giver.checkpoint(before)
     read_checkpoint(weights)

@@ -32,23 +32,20 @@ class MetricsFile(Logger):
 
     @property
     def name(self) -> str:
-        """Name of the phase's folder."""
         return self.file.parent.name
 
     @property
     def version(self) -> str:
-        """A run directory holds one version."""
         return ""
 
     @rank_zero_only
     def log_hyperparams(self, params: dict[str, Any] | Namespace, *args: Any) -> None:
-        """The run's ``config.yaml`` has them."""
+        """Leave them to the run's ``config.yaml``."""
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
-        """Append values; at the first call, drop what a killed run has logged from this step on."""
-        now = 0 if step is None else step
-        if not self._begun:
+        now = step or 0
+        if not self._begun:  # drop what a killed run has logged from this step on
             self._begin(now)
         with self.file.open("a", newline="") as file:
             csv.writer(file).writerows([now, name, f"{value:.9g}"] for name, value in metrics.items())

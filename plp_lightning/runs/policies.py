@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 import yaml
 
 from datamodules.errors import CheckpointError, ConfigError
@@ -40,7 +39,7 @@ def load_policy(
     problem = TransferProblem.from_dict(content["policy"]["problem"])
     # mypy allows no abstract class to stand for its subclasses: https://github.com/python/mypy/issues/4717
     policy: Policy = build(_recipe(content["policy"], file), Policy, [PACKAGE, *allow_imports], problem)  # type: ignore[type-abstract]
-    put_weights(policy, content, file)
+    _put_weights(policy, content, file)
     return policy.eval()
 
 
@@ -50,35 +49,26 @@ def load_policy_weights(policy: Policy, checkpoint: Path) -> None:
     Raises:
         CheckpointError: If it is of a policy with other domains, tasks or sizes.
     """
-    put_weights(policy, read_checkpoint(checkpoint), checkpoint)
+    _put_weights(policy, read_checkpoint(checkpoint), checkpoint)
 
 
-def put_weights(policy: Policy, content: dict[str, Any], checkpoint: Path) -> None:
-    """Put the weights of a checkpoint that was read into ``policy``.
-
-    Raises:
-        CheckpointError: If it is of a policy with other domains, tasks or sizes.
-    """
+def _put_weights(policy: Policy, content: dict[str, Any], checkpoint: Path) -> None:
     upgrade_checkpoint(content)
-    state: Mapping[str, torch.Tensor] = content["state_dict"]
-    prefix = "policy."
+    state, prefix = content["state_dict"], "policy."
     try:
         policy.load_state_dict({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
     except RuntimeError as error:
         found = str(error).strip().splitlines()[-1].strip()
-        raise CheckpointError(
-            f"{checkpoint}: is of another policy ({found}); use the configuration that it was trained with"
-        ) from None
+        remedy = "use the configuration that it was trained with"
+        raise CheckpointError(f"{checkpoint}: is of another policy ({found}); {remedy}") from None
 
 
 def _checkpoint_of(run: RunDirectory, phase: str | None, which: str) -> Path:
     names = [phase] if phase else [*run.status()["phases"]]
     found = [run.checkpoint(name, which) for name in names if run.checkpoint(name, which).exists()]
     if not found:
-        raise ConfigError(
-            f"{run.path}: has no checkpoint {which!r} of {phase or 'any phase'}; "
-            f"finish a phase with plp fit --resume {run.path}"
-        )
+        remedy = f"finish a phase with plp fit --resume {run.path}"
+        raise ConfigError(f"{run.path}: has no checkpoint {which!r} of {phase or 'any phase'}; {remedy}")
     return found[-1]
 
 

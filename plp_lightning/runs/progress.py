@@ -1,4 +1,4 @@
-"""How far a long job is: a bar on a terminal, a plain line now and then in a log."""
+"""Progress of long jobs and of phases: a bar on a terminal, a plain line now and then in a log."""
 
 from __future__ import annotations
 
@@ -20,42 +20,33 @@ class JobProgress:
     """Progress of one job of known size; use as a context manager.
 
     Args:
-        label: What is going on, in a word or two.
+        label: The job, in a word or two.
         total: Units of work.
-        unit: What is counted.
+        unit: Name of the units.
     """
 
     def __init__(self, label: str, total: int, unit: str) -> None:
         self.label, self.total, self.unit = label, total, unit
         self.done, self.began, self.last_line = 0, time.monotonic(), time.monotonic()
         self.console = Console()
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn(unit),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
-        )
+        count = (BarColumn(), MofNCompleteColumn(), TextColumn(unit), TimeElapsedColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), *count, TextColumn("{task.fields[note]}"))
         self.bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
         self.row = self.bar.add_task(label, total=total, note="")
 
     def __enter__(self) -> JobProgress:
-        """Show the bar."""
         self.bar.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the bar away, or leave a closing line in the log."""
         self.bar.stop()
         if kind is None and not self.console.is_terminal:
             self._line("done")
 
     def advance(self, count: int = 1, note: str = "") -> None:
-        """``count`` more units are done."""
+        """Count ``count`` more units as done."""
         self.done += count
         self.bar.update(self.row, completed=self.done, note=note)
         if not self.console.is_terminal and time.monotonic() - self.last_line > SECONDS_BETWEEN_LINES:
@@ -79,23 +70,19 @@ class PhaseProgress(Callback):
         self.progress: JobProgress | None = None
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Begin where a resumed run stopped."""
         self.progress = JobProgress(self.phase, trainer.max_epochs or 0, "epochs").__enter__()
         self.progress.advance(trainer.current_epoch)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """One more epoch."""
         assert self.progress is not None
         self.progress.advance(1, _note(trainer.callback_metrics, pl_module))
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Leave the line."""
         assert self.progress is not None
         self.progress.__exit__(None, None, None)
         self.progress = None
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Give the terminal back."""
         if self.progress is not None:
             self.progress.__exit__(type(exception), exception, None)
 

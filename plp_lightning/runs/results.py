@@ -1,4 +1,4 @@
-"""What a run found: ``results.json``, the table on the screen, and TensorBoard's hyperparameter page."""
+"""Results of a run: ``results.json``, the table on the screen, and TensorBoard's hyperparameter page."""
 
 from __future__ import annotations
 
@@ -27,61 +27,43 @@ COUNTED = {"success", "before", "episodes", "invalid", "interval"}
 
 
 def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None = None) -> dict[str, Any]:
-    """Gather the phases' records into ``results.json`` and print the table.
-
-    Args:
-        experiment: What was run.
-        run: Where it was run.
-        origin: Run whose phases came before this run's.
-    """
-    records = [(name, run.phase_record(name)) for name in experiment.phases]
-    done = [(name, record) for name, record in records if record.get("state") == "done"]
-    last = done[-1][1]
-    before = _trials_before(done, list(experiment.phases), origin)
+    """Gather the phases' records, and those of the run before, ``origin``, into ``results.json``; print the table."""
+    records = {name: run.phase_record(name) for name in experiment.phases}
+    done = {name: record for name, record in records.items() if record.get("state") == "done"}
+    last, before = [*done.values()][-1], _trials_before(done, list(experiment.phases), origin)
+    resolved, found = yaml.safe_load(experiment.config), versions()
     results = {
         "experiment": experiment.name,
         "method": experiment.method,
         "target_task": experiment.data.target_task,
         "seed": experiment.seed,
-        "phases": [name for name, _ in done],
-        **{trial: _with_before(outcome, before.get(trial)) for trial, outcome in last["trials"].items()},
+        "phases": [*done],
+        **{trial: {**x, "before": before.get(trial, {}).get("success")} for trial, x in last["trials"].items()},
         "alignment": last["alignment"],
         "seconds": {"collection": run.status().get("collection_seconds", 0.0)}
-        | {name: record["seconds"] for name, record in done},
+        | {name: record["seconds"] for name, record in done.items()},
         "data_sha256": experiment.data.fingerprint,
         "device": last.get("device"),
-        **_made_with(experiment),
-    }
-    run.write_json("results.json", results)
-    print_results(results, run)
-    return results
-
-
-def _made_with(experiment: Experiment) -> dict[str, Any]:
-    """Settings and code that results were made with."""
-    resolved, found = yaml.safe_load(experiment.config), versions()
-    return {
         "settings": differing_settings(resolved),
         "config_sha256": config_hash(resolved),
         "commit": commit(),
         "version": found.get(OURS),
         "versions": found,
     }
+    run.write_json("results.json", results)
+    print_results(results, run)
+    return results
 
 
 def _trials_before(
-    done: Sequence[tuple[str, Mapping[str, Any]]], names: Sequence[str], origin: RunDirectory | None
+    done: Mapping[str, Mapping[str, Any]], names: Sequence[str], origin: RunDirectory | None
 ) -> Mapping[str, Any]:
     """Outcomes at the end of the phase before the last one; empty if there is none."""
     if len(done) > 1:
-        return dict(done[-2][1]["trials"])
-    position = names.index(done[-1][0])
+        return dict([*done.values()][-2]["trials"])
+    position = names.index(next(iter(done)))
     record = origin.phase_record(names[position - 1]) if origin is not None and position > 0 else {}
     return dict(record.get("trials", {}))
-
-
-def _with_before(outcome: Mapping[str, Any], before: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {**outcome, "before": None if before is None else before["success"]}
 
 
 def print_results(results: Mapping[str, Any], run: RunDirectory) -> None:

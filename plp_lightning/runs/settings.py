@@ -21,12 +21,7 @@ from datamodules.settings import Configured
 from plp_lightning.runs.collection import CollectionConfig
 from plp_lightning.runs.experiment import EvaluationPlan
 
-GROUPS: Mapping[str, type] = {
-    "data": DataSettings,
-    "collection": CollectionConfig,
-    "evaluation": EvaluationPlan,
-    "trainer": Trainer,
-}
+GROUPS = dict[str, type](data=DataSettings, collection=CollectionConfig, evaluation=EvaluationPlan, trainer=Trainer)
 """Classes behind the keys that name none."""
 PLACES = ("run_root", "data.root", "data.file")  # Keys that say where something lies, not what it is
 IDENTITY = ("experiment", "method", "data.target_task", "seed", "allow_imports")

@@ -14,11 +14,8 @@ from plp_lightning.callbacks.preemption import PreemptedError
 def stoppable() -> Iterator[None]:
     """Raise PreemptedError wherever SIGTERM or SIGINT finds the block.
 
-    What is on disk is complete, so that a resumed run repeats no more than what was going on: collection or
-    evaluation. While steps are trained, :class:`Preemption` listens instead and saves first.
-
-    Raises:
-        PreemptedError: If a signal has come.
+    All files are complete, so that a resumed run repeats no more than collection or evaluation, whichever was going
+    on. While steps are trained, :class:`Preemption` listens instead and saves first.
     """
     previous = {number: signal.signal(number, _leave) for number in (signal.SIGTERM, signal.SIGINT)}
     try:

@@ -1,4 +1,4 @@
-"""How long a phase has taken, interruptions left out."""
+"""Time that a phase has taken, interruptions left out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ class Stopwatch(Callback):
             self._write()
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write down the time so far."""
         self._write()
 
     def _write(self) -> None:

@@ -1,4 +1,4 @@
-"""What ran: versions of this project and of what it stands on."""
+"""Versions of this project and of the packages that it stands on."""
 
 from __future__ import annotations
 
@@ -9,18 +9,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 OURS = "plp-lightning"
-PACKAGES = (
-    OURS,
-    "torch",
-    "lightning",
-    "torchmetrics",
-    "numpy",
-    "h5py",
-    "mujoco",
-    "robosuite",
-    "metaworld",
-    "gymnasium-robotics",
-)
+FOUNDATIONS = ("torch", "lightning", "torchmetrics", "numpy", "h5py")
+PACKAGES = (OURS, *FOUNDATIONS, "mujoco", "robosuite", "metaworld", "gymnasium-robotics")
 
 
 def versions() -> dict[str, str]:

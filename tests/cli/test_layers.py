@@ -12,7 +12,7 @@ from command import ROOT, SMOKE
 from datamodules.errors import ConfigError
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.config import parse, resolve
-from plp_lightning.cli.layers import completed, insert, overlay, read_yaml, remove, without_spare_parts
+from plp_lightning.cli.layers import completed, insert, overlay, read_yaml, without_spare_parts
 
 SPARE = ("mmd", "tcc", "adversarial")
 
@@ -188,12 +188,18 @@ def test_what_is_resolved_does_not_change_the_second_time() -> None:
     assert nested["plain"] == 3
 
 
-def test_dotted_keys_are_set_and_removed() -> None:
+def test_dotted_keys_are_set() -> None:
     tree: dict[str, Any] = {"a": {"b": {"c": 1, "d": 2}}}
     insert(tree, "a.x.y", 3)
     assert tree == {"a": {"b": {"c": 1, "d": 2}, "x": {"y": 3}}}
-    assert remove(tree, ["a.b.c", "a.x", "absent.key"]) == {"a": {"b": {"d": 2}}}
-    assert "x" in tree["a"]
+
+
+def test_what_a_method_does_not_choose_is_left_away_from_a_copy() -> None:
+    tree = {"phases": ["b"], "a": {}, "b": {"init_args": {"terms": {"mmd": {"init_args": {}}, "tcc": "TCC"}}}}
+    kept, dropped = without_spare_parts(tree, ["a", "b"], ["mmd"])
+    assert kept == {"phases": ["b"], "b": {"init_args": {"terms": {"tcc": "TCC"}}}}
+    assert dropped == ["b.init_args.terms.mmd"]
+    assert "mmd" in tree["b"]["init_args"]["terms"], "the tree that was given is as it was"
 
 
 def test_an_empty_file_says_nothing(tmp_path: Path) -> None:
