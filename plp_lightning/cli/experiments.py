@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from datamodules.errors import ConfigError
-from plp_lightning.cli.config import option_values, parse
+from plp_lightning.cli.config import help_parser, option_values, parse
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
 from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
