@@ -12,44 +12,26 @@ from datamodules.types import DomainSpec
 
 @dataclass(frozen=True)
 class TransferRoles:
-    """Domains and tasks by the parts that they play in a transfer.
+    """Names of domains and tasks by the parts that they play in a transfer."""
 
-    Args:
-        domains: Names of the domains, in order.
-        source_domain: Domain whose demonstrations of the target task adapt the policy.
-        target_domain: Domain that the policy is transferred to.
-        tasks: Names of all tasks, in canonical order; their positions are the task indices.
-        proxy_tasks: Tasks that align the domains.
-        target_task: Name of the target task.
-        target_tasks: Tasks that make up the target (one, or a goal from several start zones).
-    """
-
-    domains: tuple[str, ...]
-    source_domain: str
-    target_domain: str
-    tasks: tuple[str, ...]
-    proxy_tasks: tuple[str, ...]
+    domains: tuple[str, ...]  # in order
+    source_domain: str  # its demonstrations of the target task adapt the policy
+    target_domain: str  # the policy is transferred to it
+    tasks: tuple[str, ...]  # all, in canonical order; their positions are the task indices
+    proxy_tasks: tuple[str, ...]  # they align the domains
     target_task: str
-    target_tasks: tuple[str, ...]
+    target_tasks: tuple[str, ...]  # they make up the target: one, or a goal from several start zones
 
 
 @dataclass(frozen=True)
 class TransferProblem:
-    """Domains and tasks that a policy is built for.
+    """Domains and tasks that a policy is built for."""
 
-    Args:
-        domains: Specs of the domains; their order is the domain id.
-        tasks: Names of all tasks, the target's included; their order is the task id.
-        source_domain: Domain whose demonstrations of the target task adapt the policy.
-        target_domain: Domain that the policy is transferred to.
-        statistics: Statistics ``(O,)`` of raw states, by domain; without them a checkpoint has to bring the scaling.
-    """
-
-    domains: Sequence[DomainSpec]
-    tasks: Sequence[str]
-    source_domain: str
-    target_domain: str
-    statistics: Mapping[str, Statistics] | None = None
+    domains: Sequence[DomainSpec]  # their order is the domain id
+    tasks: Sequence[str]  # names of all, the target's included; their order is the task id
+    source_domain: str  # its demonstrations of the target task adapt the policy
+    target_domain: str  # the policy is transferred to it
+    statistics: Mapping[str, Statistics] | None = None  # by domain; without them a checkpoint brings the scaling
 
     def to_dict(self) -> dict[str, Any]:
         """Plain lists, strings and numbers, for checkpoints; the statistics stay behind."""

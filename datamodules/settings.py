@@ -33,24 +33,14 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """Numbers that a setting may have.
-
-    Args:
-        kind: Their type.
-        told: How a message tells the bound.
-        holds: Whether a number is within it.
-    """
+    """Numbers that a setting may have: their type, the words for the bound, and the test for it."""
 
     kind: type[int] | type[float]
     told: str
     holds: Callable[[float], bool]
 
     def read(self, value: Any) -> int | float:
-        """The number, of its plain type.
-
-        Raises:
-            ValueError: If the value is no number within the bound.
-        """
+        """Read a number of the plain type, or raise ValueError if the value is none within the bound."""
         with contextlib.suppress(TypeError, ValueError, OverflowError):
             number = self.kind(value)
             if not isinstance(value, bool) and (isinstance(value, str) or number == value) and self.holds(number):
@@ -100,33 +90,24 @@ class Configured:
         # A dataclass inherits fields, each with names of the module that it stands in.
         hints = get_type_hints(cls if dataclasses.is_dataclass(cls) else cls.__init__)
         for name, value in found.items():
-            check_bounds(f"{cls.__name__}.{name}", hints.get(name), value)
+            _check_bounds(f"{cls.__name__}.{name}", hints.get(name), value)
         return made
 
 
-def check_bounds(place: str, hint: Any, value: Any) -> None:
-    """Hold a value, or every item of a collection, to the bound that its type states.
-
-    Args:
-        place: Name of the setting, for the message.
-        hint: Type from a signature; types without a bound allow everything.
-        value: The value.
-
-    Raises:
-        ConfigError: If the value is outside of the bound.
-    """
+def _check_bounds(place: str, hint: Any, value: Any) -> None:
+    """Hold a value, or every item of a collection, to the bound that its type states, if it states one."""
+    parts = get_args(hint)
     if hint in BOUNDS:
         _check_number(place, hint, value)
     elif get_origin(hint) in (Union, types.UnionType):
-        if value is not None or types.NoneType not in get_args(hint):
-            for option in get_args(hint):
-                check_bounds(place, option, value)
+        for option in parts if value is not None or types.NoneType not in parts else ():
+            _check_bounds(place, option, value)
     elif isinstance(value, Mapping):
         for name, item in value.items():
-            check_bounds(f"{place}.{name}", get_args(hint)[-1] if get_args(hint) else None, item)
-    elif isinstance(value, Sequence) and not isinstance(value, str) and get_args(hint):
+            _check_bounds(f"{place}.{name}", parts[-1] if parts else None, item)
+    elif isinstance(value, Sequence) and not isinstance(value, str) and parts:
         for item in value:
-            check_bounds(place, get_args(hint)[0], item)
+            _check_bounds(place, parts[0], item)
 
 
 def _check_number(place: str, bound: Any, value: Any) -> None:
@@ -139,11 +120,9 @@ def _check_number(place: str, bound: Any, value: Any) -> None:
 
 
 def recipe(made: Configured, leaving_out: Sequence[str] = ()) -> dict[str, Any]:
-    """How to build an object again, as plain lists, strings and numbers: ``{class_path, init_args}``.
+    """Tell how to build an object again, as plain lists, strings and numbers: ``{class_path, init_args}``.
 
-    Args:
-        made: The object.
-        leaving_out: Arguments that :func:`build` is given by its caller.
+    Arguments in ``leaving_out`` are not told: the caller of :func:`build` gives them.
     """
     kind = type(made)
     arguments = {name: _plain(value) for name, value in made.arguments.items() if name not in leaving_out}

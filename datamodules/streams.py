@@ -47,33 +47,21 @@ class EpisodeStream(IntEnum):
 
 
 def generator(stream: Stream, *key: int) -> np.random.Generator:
-    """Gives the random numbers of one key of a stream.
-
-    Args:
-        stream: The purpose.
-        *key: A number below 2³² for each of the stream's parts.
-    """
+    """Gives the random numbers of one key of a stream: a number below 2³² for each of its parts."""
     assert len(key) == len(stream.parts), f"{stream.name} is keyed by {stream.parts}, found {key}"
     assert all(0 <= part < 1 << 32 for part in key), f"expected numbers of 32 bits, found {key}"
     return np.random.default_rng([stream.value[0], *key])
 
 
 def episode_generator(seed: int, stream: EpisodeStream) -> np.random.Generator:
-    """Gives an episode's random numbers for one purpose.
-
-    Args:
-        seed: Seed of the episode, as from :func:`episode_seed`.
-        stream: The purpose.
-    """
+    """Gives the random numbers of the episode that has this seed, from :func:`episode_seed`, for one purpose."""
     return np.random.default_rng([seed, int(stream)])
 
 
 def start_generator(seed: int, name: str = "") -> np.random.Generator:
     """Gives the random numbers of an episode's initial state.
 
-    Args:
-        seed: Seed of the episode.
-        name: What else they depend on, so that equal seeds do not make the initial states of two domains alike.
+    They depend on a name too, so that equal seeds do not make the initial states of two domains alike.
     """
     return np.random.default_rng([seed, crc32(name.encode())])
 
@@ -81,14 +69,8 @@ def start_generator(seed: int, name: str = "") -> np.random.Generator:
 def episode_seed(purpose: Purpose, seed: int, domain: str, task: str, index: int) -> int:
     """Seed of episode ``index`` of a task in a domain; seeds rise with the index.
 
-    So the first n demonstrations of a trajectory file, which sorts by seed, stay the same when it grows.
-
-    Args:
-        purpose: What the episode is for.
-        seed: Seed of the run or of the collection.
-        domain: Name of the domain.
-        task: Name of the task.
-        index: Which episode of this task.
+    So the first n demonstrations of a trajectory file, which sorts by seed, stay the same when it grows. ``seed`` is
+    that of the run or of the collection.
     """
     entropy = (crc32(purpose.encode()), seed, crc32(domain.encode()), crc32(task.encode()))
     return int(np.random.SeedSequence(entropy).generate_state(1)[0]) * MOST_EPISODES + index

@@ -100,11 +100,7 @@ class TaskwiseOrder(AlignmentOrder):
 
 
 class NoSteps:
-    """Epochs of phases that train on trajectory pairs alone.
-
-    Args:
-        steps: Training steps in an epoch.
-    """
+    """Epochs of so many steps, for phases that train on trajectory pairs alone."""
 
     def __init__(self, steps: int) -> None:
         self.steps = steps
@@ -144,11 +140,8 @@ class MixOrder:
         rng = generator(Stream.MIX, self.seed, epoch)
         mixed = [self.pool[shuffled(np.arange(len(self.pool)), self.mixed, rng)]] if self.mixed else []
         drawn = rng.permutation(np.concatenate([self.target, *mixed]))
-        return [self._by_domain(drawn[i : i + self.batch_size]) for i in range(0, len(drawn), self.batch_size)]
-
-    def _by_domain(self, drawn: np.ndarray) -> dict[str, np.ndarray]:
-        parts = {domain: drawn[drawn[:, 0] == i, 1] for i, domain in enumerate(self.domains)}
-        return {domain: rows for domain, rows in parts.items() if len(rows)}
+        batches = [drawn[i : i + self.batch_size] for i in range(0, len(drawn), self.batch_size)]
+        return [{self.domains[i]: batch[batch[:, 0] == i, 1] for i in np.unique(batch[:, 0])} for batch in batches]
 
 
 class PairDraw(NamedTuple):

@@ -79,7 +79,7 @@ def split_walk(walk: Walk) -> list[Segment]:
 
 
 def _led_to(walk: Walk, row: int) -> np.ndarray:
-    """Where the action before ``row`` led ``(1, 4)``; ``(0, 4)`` if the walk ends there or shows the same as before."""
+    """State that the action before ``row`` led to ``(1, 4)``; ``(0, 4)`` at the walk's end or where nothing changed."""
     place = walk.places[row : row + 1]
     led_to: np.ndarray = place[(place != walk.states[row - 1]).any(axis=1)]
     return led_to

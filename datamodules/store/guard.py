@@ -54,13 +54,7 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def open_guarded(path: Path) -> h5py.File:
-    """Open an HDF5 file read-only after checking every object in it.
-
-    Args:
-        path: A finished file; nobody may be writing to it.
-
-    Returns:
-        The open file; the caller closes it.
+    """Open a finished HDF5 file read-only after checking every object in it; the caller closes it.
 
     Raises:
         TrajectoryFileError: If the file is missing, empty, damaged or uses a feature that can harm its reader.
@@ -81,15 +75,10 @@ def open_guarded(path: Path) -> h5py.File:
 
 
 def check_objects(file: h5py.File, path: Path) -> list[str]:
-    """Walk all groups and arrays, one name at a time, without reading any array.
-
-    Args:
-        file: An open file.
-        path: Its path, for messages.
+    """Walk all groups and arrays, one name at a time, without reading any array; the first that is not plain raises.
 
     Returns:
-        Paths of all arrays, such as ``/domains/ant/actions``; a :class:`TrajectoryFileError` tells of the first object
-        that is not plain.
+        Paths of all arrays, such as ``/domains/ant/actions``.
     """
     seen = {_address(file)}
     arrays: list[str] = []

@@ -116,7 +116,7 @@ def _union(old: list[Episode], new: list[Episode]) -> list[Episode]:
 
 
 def _same(one: Episode, other: Episode) -> bool:
-    """Whether both hold the same values, as far as both of them know what was seen last."""
+    """Compare the values of two episodes, as far as both of them know the last observation."""
     rows = min(len(one.state), len(other.state))
     arrays = zip(_values(one, rows), _values(other, rows), strict=True)
     return one.success == other.success and all(np.array_equal(a, b) for a, b in arrays)

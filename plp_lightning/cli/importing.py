@@ -25,12 +25,6 @@ NEAR = 0.5  # Distance from the middle of the goal cell at which our mazes count
 def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:
     """Add the demonstrations of a D4RL ``maze2d`` file to a trajectory file of ours, which may be new.
 
-    Args:
-        source: D4RL's file.
-        maze: The domain's simulator, in D4RL's frame.
-        domain: The domain's name in the experiment.
-        out: Our file.
-
     Raises:
         TrajectoryFileError: If the file cannot be read, was made in another maze or has no use, or ``out`` holds
             another domain of that name or cannot be written.

@@ -34,12 +34,9 @@ def read_yaml(path: Path) -> Tree:
 
 
 def overlay(below: Any, above: Any, allowed: Sequence[str]) -> Any:
-    """Lay one configuration, or a part of it, over another.
+    """Lay one configuration, or a part of it, over another, which is left as it is.
 
-    Args:
-        below: What earlier files say; left as it is.
-        above: What a later file says. A key that ends in ``+`` appends to a list.
-        allowed: Packages whose classes may be imported.
+    A key that ends in ``+`` appends to a list. Only classes of the ``allowed`` packages are imported.
 
     Raises:
         ConfigError: If ``below`` sets up a class with a setting that it doesn't have.
@@ -99,18 +96,15 @@ def _as_yaml(value: Any) -> Any:
 
 
 def without_spare_parts(tree: Tree, phases: Sequence[str], terms: Sequence[str]) -> tuple[Tree, list[str]]:
-    """Leave away what files set up and the method does not choose.
+    """Leave away the phases and terms that files set up and the method does not choose.
 
     Args:
         tree: The whole configuration.
         phases: Names of all phases that files set up.
-        terms: Names of terms that pages may set up without choosing them.
+        terms: Names of terms that pages may set up without choosing them; others need a class.
 
     Returns:
         The configuration, and dotted keys of terms that were left away.
-
-    Raises:
-        ConfigError: If a term without a class has another name.
     """
     kept = copy.deepcopy({key: value for key, value in tree.items() if key not in phases or key in tree["phases"]})
     dropped = []

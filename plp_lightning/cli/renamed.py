@@ -95,7 +95,7 @@ def _group(name: str, settings: Any, found: list[str]) -> Any:
 
 
 def _table(place: str, part: Mapping[str, Any]) -> Mapping[str, str]:
-    """Where the old settings of a policy or phase are now; that depends on its class."""
+    """Places of the old settings of a policy or phase now; they depend on its class."""
     kind = str(part.get("class_path", "")).rpartition(".")[2]
     if place == "policy":
         return {"clip": ""} if kind in ("GamaPolicy", "CdilPolicy") else POLICY

@@ -28,42 +28,26 @@ MOST = 3  # Differences that a message tells
 
 @dataclass(frozen=True)
 class Record:
-    """One run's outcome on its target task; success rates are between 0 and 1.
-
-    Attributes:
-        success: In the target domain, at the end.
-        low: Lower end of its 95 % interval.
-        high: Upper end of it.
-        before: In the target domain before adaptation; None where what acts was not trained before.
-        source: In the source domain, at the end.
-        proxy: On proxy tasks in the target domain, at the end.
-        alignment: Scores by name, such as ``top5`` or ``closeness``.
-        seconds: Time of all phases together, without collecting.
-        settings: Settings that differ from the defaults, by dotted key; None if nobody wrote them down.
-        behaviour: Further measures of the target task's episodes in the target domain, by name.
-    """
+    """One run's outcome on its target task; success rates are between 0 and 1."""
 
     experiment: str
     method: str
     target: str
     seed: int
-    success: float
-    low: float
-    high: float
-    before: float | None
-    source: float | None
-    proxy: float | None
-    alignment: Mapping[str, float]
-    seconds: float
-    settings: Mapping[str, Any] | None = None
-    behaviour: Mapping[str, float] = field(default_factory=dict)
+    success: float  # in the target domain, at the end
+    low: float  # lower end of its 95 % interval
+    high: float  # upper end of it
+    before: float | None  # in the target domain before adaptation; None where what acts was not trained before
+    source: float | None  # in the source domain, at the end
+    proxy: float | None  # on proxy tasks in the target domain, at the end
+    alignment: Mapping[str, float]  # scores by name, such as top5 or closeness
+    seconds: float  # all phases together, without collecting
+    settings: Mapping[str, Any] | None = None  # that differ from the defaults, by dotted key; None if never recorded
+    behaviour: Mapping[str, float] = field(default_factory=dict)  # further measures of the target task's episodes
 
 
 def read_records(paths: Sequence[Path]) -> list[Record]:
-    """Results below run directories and folders of them, one for each run.
-
-    Args:
-        paths: Run directories, folders above them, or JSON files as ``plp fit`` leaves them.
+    """Results below run directories or folders above them, or of JSON files as ``plp fit`` leaves them, one a run.
 
     Raises:
         ConfigError: If a path is missing or holds no results, a file is damaged, two stand for the same run, or runs

@@ -32,7 +32,7 @@ _domains: Mapping[str, Domain] = {}
 
 @dataclass(frozen=True)
 class CollectionConfig(Configured):
-    """How demonstrations are made.
+    """Recipe of demonstrations.
 
     Args:
         processes: Processes that collect; 0 means one for each core.
@@ -52,10 +52,9 @@ class CollectionConfig(Configured):
     attempts: PositiveInt = 3
 
     def differences(self, other: Mapping[str, object]) -> dict[str, tuple[object, object]]:
-        """Settings in which another recipe's demonstrations differ from this one's, as (other's, own).
+        """Settings in which the demonstrations of another recipe, from a file, differ from this one's: (its own, ours).
 
-        Args:
-            other: The other recipe by setting, as stored in a file; what it lacks had its default.
+        Settings that the other recipe lacks had their defaults.
         """
         known = {RENAMED.get(name, name): value for name, value in other.items()}
         pairs = {name: (known.get(name, getattr(CollectionConfig, name)), getattr(self, name)) for name in DECISIVE}
@@ -84,7 +83,7 @@ class ExpertCollector:
 
     Args:
         domains: Simulators and experts by domain.
-        recipe: How demonstrations are made.
+        recipe: Recipe of demonstrations.
     """
 
     def __init__(self, domains: Mapping[str, Domain], recipe: CollectionConfig) -> None:
@@ -112,16 +111,11 @@ class ExpertCollector:
         """Refuse a file whose demonstrations another recipe made: who changes a setting means to see its effect.
 
         Demonstrations that were imported are taken as they are.
-
-        Raises:
-            UserError: If another recipe made demonstrations of one of the domains.
         """
         for recipe in self._recipes(path):
             for name, (found, wanted) in self.recipe.differences(recipe).items():
-                raise UserError(
-                    f"{path}: its demonstrations were collected with --collection.{name} {found}; "
-                    f"expected {wanted}: restore the setting or name another --data.file"
-                )
+                told = f"{path}: its demonstrations were collected with --collection.{name} {found}"
+                raise UserError(f"{told}; expected {wanted}: restore the setting or name another --data.file")
 
     def _recipes(self, path: Path) -> Iterator[Mapping[str, object]]:
         """Recipes by which experts of this project made demonstrations of the domains."""
@@ -172,21 +166,19 @@ def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
 
 
 def demonstrate(job: Job, recipe: CollectionConfig) -> list[Trajectory]:
-    """The first ``job.count`` successes among the attempts, in the order of the attempts.
+    """The first ``job.count`` successes among the attempts, in their order: ``(T + 1, O)`` states, ``(T, A)`` actions.
 
     Raises:
         UserError: If the expert fails so often that ``recipe.attempts`` times the wanted number don't suffice.
     """
-    made: list[Trajectory] = []
-    attempts = 0
+    made, attempts = list[Trajectory](), 0
     seeds = (episode_seed("collect", recipe.seed, job.domain, job.task, i) for i in itertools.count())
     unknown = (seed for seed in seeds if seed not in job.known_seeds)
     while len(made) < job.count:
         if attempts >= recipe.attempts * job.count + 10:
-            raise UserError(
-                f"expert of domain {job.domain!r} solved task {job.task!r} {len(made)} times in {attempts} attempts; "
-                f"{job.count} demonstrations were asked for; mend the expert or raise --collection.attempts"
-            )
+            found = f"expert of domain {job.domain!r} solved task {job.task!r} {len(made)} times in {attempts} attempts"
+            remedy = "mend the expert or raise --collection.attempts"
+            raise UserError(f"{found}; {job.count} demonstrations were asked for; {remedy}")
         wave = list(itertools.islice(unknown, max(4, job.count - len(made))))
         made += _attempt(job, wave, recipe)
         attempts += len(wave)

@@ -44,11 +44,7 @@ def load_policy(
 
 
 def load_policy_weights(policy: Policy, checkpoint: Path) -> None:
-    """Put the weights, scaling included, of a phase's checkpoint into ``policy``.
-
-    Raises:
-        CheckpointError: If it is of a policy with other domains, tasks or sizes.
-    """
+    """Put a phase's weights, scaling included, into a policy; CheckpointError says if they are of another policy."""
     _put_weights(policy, read_checkpoint(checkpoint), checkpoint)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from types import TracebackType
 from typing import Any
 
 from lightning.pytorch import Callback, LightningModule, Trainer
@@ -38,11 +37,9 @@ class JobProgress:
         self.bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.bar.stop()
-        if kind is None and not self.console.is_terminal:
+        if raised[0] is None and not self.console.is_terminal:
             self._line("done")
 
     def advance(self, count: int = 1, note: str = "") -> None:

@@ -30,11 +30,7 @@ UNKNOWN = object()  # Stands for the default of what has none; nothing equals it
 
 
 def differing_settings(resolved: Mapping[str, Any]) -> dict[str, Any]:
-    """Finds what the files and flags of a run set otherwise than the classes' signatures do.
-
-    Args:
-        resolved: The resolved configuration: plain values, lists, and a mapping with ``class_path`` and ``init_args``
-            for each object.
+    """Finds the settings of a resolved configuration that are not as the classes' signatures have them.
 
     Returns:
         Values by dotted key, ``init_args`` left out of the keys, such as ``{"alignment.lr": 0.001}``. An object's own
