@@ -140,7 +140,7 @@ def _flags(arguments: Sequence[str], tree: Tree) -> list[str]:
     kept, words = [], iter(arguments)
     for word in words:
         if word in ("--config", "--phases"):
-            next(words, None)
+            kept += [] if next(words, "") else [word]
         elif not word.startswith(("--config=", "--phases=")):
             key, joint, value = word.partition("=")
             new = f"--{rename_flag(key[2:], tree)}" if key.startswith("--") else key
