@@ -15,6 +15,8 @@ from plp_lightning.cli.config import parse
 from plp_lightning.cli.renamed import ALIGNMENT, CDIL, CLASSES, GROUPS, PHASE, POLICY, rename, rename_flag
 
 PHASES = ["alignment", "adaptation"]
+BASE = {"policy": {"class_path": "PortablePolicy"}, "alignment": {"class_path": "Alignment"}}
+"""What every file is laid over."""
 
 
 def settings(part: dict[str, Any]) -> dict[str, Any]:
@@ -32,7 +34,7 @@ def short(path: str) -> str:
 @pytest.mark.parametrize(("group", "old"), [(group, old) for group, table in GROUPS.items() for old in table])
 def test_old_keys_of_groups_have_their_new_names(group: str, old: str) -> None:
     new = GROUPS[group][old]
-    renamed, found = rename({group: {old: 3, "other": 4}}, PHASES)
+    renamed, found = rename({group: {old: 3, "other": 4}}, PHASES, BASE)
     assert renamed == {group: {new: 3, "other": 4}}
     assert found == [f"{group}.{old} is {group}.{new}"]
     assert rename_flag(f"{group}.{old}", {}) == f"{group}.{new}"
@@ -58,7 +60,7 @@ def at(tree: dict[str, Any], key: str) -> Any:
 def test_old_settings_are_where_they_are_now(kind: str, place: str, old: str, new: str) -> None:
     tree = {place: {"class_path": kind, "init_args": {old: 3, "other": 4}}}
     before = copy.deepcopy(tree)
-    renamed, found = rename(tree, PHASES)
+    renamed, found = rename(tree, PHASES, BASE)
     assert tree == before
     assert at(settings(renamed[place]), new) == 3
     assert old not in settings(renamed[place])
@@ -72,20 +74,30 @@ def test_old_settings_are_where_they_are_now(kind: str, place: str, old: str, ne
 def test_settings_that_kept_their_names_stay(kind: str, name: str) -> None:
     place = "policy" if kind.endswith("Policy") else "alignment"
     tree = {place: {"class_path": kind, "init_args": {name: 3}}}
-    assert rename(tree, PHASES) == (tree, [])
+    assert rename(tree, PHASES, BASE) == (tree, [])
     assert rename_flag(f"{place}.{name}", tree) == f"{place}.{name}"
+
+
+def test_a_file_that_names_no_class_is_read_as_of_the_class_below() -> None:
+    below = {"policy": {"class_path": "GamaPolicy"}, "alignment": {"class_path": "CdilAlignment"}}
+    today = {"policy": {"init_args": {"image_channels": [4]}}, "alignment": {"init_args": {"discriminator_layers": 2}}}
+    assert rename(today, PHASES, below) == (today, [])
+    assert rename(today, PHASES, BASE)[0] == {
+        "policy": {"init_args": {"image_encoder": {"channels": [4]}}},
+        "alignment": {"init_args": {"terms": {"adversarial": {"init_args": {"layers": 2}}}}},
+    }
 
 
 @pytest.mark.parametrize(("word", "schedule"), [("cosine", {"class_path": "CosineDecay"}), ("constant", None)])
 def test_words_for_schedules_are_classes(word: str, schedule: Any) -> None:
-    renamed, found = rename({"alignment": {"init_args": {"lr_schedule": word}}}, PHASES)
+    renamed, found = rename({"alignment": {"init_args": {"lr_schedule": word}}}, PHASES, BASE)
     assert renamed == {"alignment": {"init_args": {"lr_scheduler": schedule}}}
     assert found == ["alignment.lr_schedule is alignment.lr_scheduler"]
 
 
 @pytest.mark.parametrize("words", [[], ["mmd"], ["tcc", "adversarial"], ["mmd", "tcc", "adversarial"]])
 def test_a_list_of_terms_chooses_them_and_leaves_the_others_away(words: list[str]) -> None:
-    renamed, found = rename({"alignment": {"init_args": {"terms": words, "tcc_weight": 0.2}}}, PHASES)
+    renamed, found = rename({"alignment": {"init_args": {"terms": words, "tcc_weight": 0.2}}}, PHASES, BASE)
     terms = settings(renamed["alignment"])["terms"]
     assert {name for name, term in terms.items() if term and "class_path" in term} == set(words)
     assert terms["mmd"] == ({"class_path": "MMD"} if "mmd" in words else None)
@@ -95,11 +107,11 @@ def test_a_list_of_terms_chooses_them_and_leaves_the_others_away(words: list[str
 
 def test_a_word_that_was_no_term_is_told() -> None:
     with pytest.raises(ConfigError, match=r"alignment\.terms names 'mdm'; expected some of mmd, adversarial, tcc"):
-        rename({"alignment": {"init_args": {"terms": ["tcc", "mdm"]}}}, PHASES)
+        rename({"alignment": {"init_args": {"terms": ["tcc", "mdm"]}}}, PHASES, BASE)
 
 
 def test_one_score_is_a_list_of_one() -> None:
-    renamed, found = rename({"score": {"class_path": "ClosenessScore"}}, PHASES)
+    renamed, found = rename({"score": {"class_path": "ClosenessScore"}}, PHASES, BASE)
     assert renamed == {"score": [{"class_path": "ClosenessScore"}]}
     assert found == ["one score is a list of one"]
 
@@ -109,11 +121,11 @@ def test_the_bound_of_inputs_that_always_holds_may_be_named_and_no_other(kind: s
     def policy(clip: float) -> dict[str, Any]:
         return {"policy": {"class_path": kind, "init_args": {"clip": clip}}}
 
-    assert rename(policy(5.0), PHASES)[0] == {"policy": {"class_path": kind, "init_args": {}}}
+    assert rename(policy(5.0), PHASES, BASE)[0] == {"policy": {"class_path": kind, "init_args": {}}}
     with pytest.raises(
         ConfigError, match=r"policy\.clip is 3\.0; expected 5\.0, which it always is now; leave it away"
     ):
-        rename(policy(3.0), PHASES)
+        rename(policy(3.0), PHASES, BASE)
 
 
 @pytest.mark.parametrize("old", CLASSES)
@@ -121,17 +133,17 @@ def test_old_classes_have_their_new_names(old: str) -> None:
     for name in (f"plp_lightning.baselines.{old}", f"plp_lightning.baselines.flat.{old}", old):
         tree = {"policy": {"class_path": name}, "callbacks": [{"class_path": name}]}
         new = CLASSES[old]
-        assert rename(tree, PHASES)[0] == {"policy": {"class_path": new}, "callbacks": [{"class_path": new}]}
+        assert rename(tree, PHASES, BASE)[0] == {"policy": {"class_path": new}, "callbacks": [{"class_path": new}]}
 
 
 @pytest.mark.parametrize("path", ["own.Alignment", "plp_lightning.methods.plp.alignment.Alignment", "Alignment"])
 def test_classes_that_did_not_move_keep_their_names(path: str) -> None:
-    assert rename({"alignment": {"class_path": path}}, PHASES) == ({"alignment": {"class_path": path}}, [])
+    assert rename({"alignment": {"class_path": path}}, PHASES, BASE) == ({"alignment": {"class_path": path}}, [])
 
 
 def test_todays_names_are_not_touched(tmp_path: Path) -> None:
     page = yaml.safe_load(Path(SMOKE[1]).read_text())
-    assert rename(page, PHASES) == (page, [])
+    assert rename(page, PHASES, BASE) == (page, [])
 
 
 # -- flags -------------------------------------------------------------------------------------------
