@@ -86,12 +86,12 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> tuple[Tree, lis
     phases = phase_names(contents.values(), option_values(arguments, "phases"))
     tree: Tree = {}
     for path, content in contents.items():
-        renamed, changes = rename(content, phases)
+        renamed, changes = rename(content, phases, tree)
         _tell(f"{path}", changes)
         parts = {name: {"class_path": x} for name, x in renamed.items() if name in phases and isinstance(x, str)}
         tree = overlay(tree, renamed | parts, allowed)
     chosen, flags = _class_flags(_flags(arguments, tree), phases)
-    chosen, changes = rename(chosen, phases)
+    chosen, changes = rename(chosen, phases, tree)
     _tell("flags", changes)
     for value in option_values(arguments, "phases"):
         chosen["phases"] = _read(value)
@@ -116,7 +116,7 @@ def _flags(arguments: Sequence[str], tree: Tree) -> list[str]:
     kept, words = [], iter(arguments)
     for word in words:
         if word in ("--config", "--phases"):
-            next(words, None)
+            kept += [] if next(words, "") else [word]
         elif not word.startswith(("--config=", "--phases=")):
             key, joint, value = word.partition("=")
             new = f"--{rename_flag(key[2:], tree)}" if key.startswith("--") else key
