@@ -19,7 +19,6 @@ from plp_lightning.cli.allowlist import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import explain
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
-from plp_lightning.envs.proxy_tasks import some_proxy_tasks
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.runs.collection import CollectionConfig, ExpertCollector
 from plp_lightning.runs.experiment import (
@@ -161,13 +160,13 @@ def _data(made: Namespace) -> TransferDataModule:
     settings: dict[str, Any] = dict(vars(made.data))
     root, file = settings.pop("root"), settings.pop("file")
     check_roles(made.domains, settings["source_domain"], settings["target_domain"])
-    simulator = made.domains[settings["source_domain"]].simulator
+    tasks = made.domains[settings["source_domain"]].simulator.tasks
     folder = Path(root or os.environ.get("PLP_DATA", "data"))
     return TransferDataModule(
         path=Path(file) if file else folder / f"{made.experiment}.hdf5",
-        tasks=simulator.tasks,
-        proxy_tasks=some_proxy_tasks(simulator, settings["target_task"], settings.pop("proxy_goals")),
-        target_tasks=simulator.target_tasks(settings["target_task"]),
+        tasks=tasks.names,
+        proxy_tasks=tasks.proxies(settings["target_task"], settings.pop("proxy_goals")),
+        target_tasks=tasks.of(settings["target_task"]),
         domains=list(made.domains),
         seed=made.seed,
         collector=ExpertCollector(made.domains, made.collection),

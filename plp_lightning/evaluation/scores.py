@@ -17,6 +17,7 @@ from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
+from plp_lightning.envs.views import located
 from plp_lightning.evaluation.alignment import closeness, top_accuracy
 from plp_lightning.evaluation.simulation import EvalSetting
 from plp_lightning.methods.policy import AligningPolicy
@@ -107,7 +108,7 @@ class ClosenessScore(AlignmentScore):
         states: Mapping[str, Observation[Tensor]],
     ) -> float:
         latents = [encode(policy, domain, seen) for domain, seen in states.items()]
-        places = [torch.from_numpy(simulators[d].shared_position(seen.state.numpy())) for d, seen in states.items()]
+        places = [torch.from_numpy(located(simulators[d]).shared_position(seen.state.numpy())) for d, seen in states.items()]
         return float(closeness(*latents, *places))
 
     def correspondences(
@@ -116,7 +117,7 @@ class ClosenessScore(AlignmentScore):
         """Source states, each with a target state of its own so near that all gaps together are smallest."""
         source, target = data.source_domain, data.target_domain
         few, many = sample_states(data, source, count), sample_states(data, target, self.samples)
-        here, there = (simulators[d].shared_position(o.state.numpy()) for d, o in ((source, few), (target, many)))
+        here, there = (located(simulators[d]).shared_position(o.state.numpy()) for d, o in ((source, few), (target, many)))
         gaps = np.linalg.norm(here[:, None] - there[None], axis=2)
         rows, columns = (torch.from_numpy(found) for found in linear_sum_assignment(gaps))
         return {source: few.take(rows), target: many.take(columns)}

@@ -103,7 +103,7 @@ class ExpertCollector:
             raise
         finally:
             if made:
-                add_trajectories(path, specs, first.tasks, made, self._provenance())
+                add_trajectories(path, specs, first.tasks.names, made, self._provenance())
 
     def check(self, path: Path) -> None:
         """Refuse a file whose demonstrations another recipe made: who changes a setting means to see its effect.

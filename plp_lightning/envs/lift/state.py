@@ -7,12 +7,12 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.native import Desk
+
 
 class Arm(NamedTuple):
     """Where the parts of a robot with n arm joints, g finger joints and f finger actuators are in its model."""
 
-    address: int
-    """Of the MjModel in memory."""
     site: int
     """Site between the fingers: the position of the end effector."""
     hand: int
@@ -39,10 +39,7 @@ class Arm(NamedTuple):
 class Workspace(NamedTuple):
     """One thread's MjData, seen through arrays that share its memory, and room for the controller."""
 
-    address: int
-    qpos: np.ndarray
-    qvel: np.ndarray
-    ctrl: np.ndarray
+    desk: Desk
     bias: np.ndarray
     inertia: np.ndarray
     site_pos: np.ndarray
@@ -57,7 +54,7 @@ class Workspace(NamedTuple):
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
         """Views of ``data``, valid as long as it lives."""
         return cls(
-            data._address, data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos,
+            Desk.of(model, data), data.qfrc_bias, data.qM, data.site_xpos,
             data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),
         )  # fmt: skip
 
@@ -66,7 +63,7 @@ class Episodes(NamedTuple):
     """All that is remembered of E episodes between two control steps."""
 
     state: np.ndarray
-    """``(E, S)`` MuJoCo's integration state."""
+    """``(E, S)``: the rows of the engine."""
     grip: np.ndarray
     """``(E,)`` command of the gripper, ramped over ten control steps: hidden from the policy."""
     rest: np.ndarray

@@ -10,12 +10,15 @@ import numpy as np
 
 from datamodules.errors import ConfigError
 from datamodules.types import DomainSpec, Observation, ObservationKey
-from plp_lightning.envs.base import FloorPlan, Simulator, Step
+from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.maze.layout import LAYOUTS, Frame
 from plp_lightning.envs.maze.walker_model import Box
+from plp_lightning.envs.tasks import Tasks
+from plp_lightning.envs.views import FloorPlan
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.maze.rollout import BatchedPhysics
+    from plp_lightning.envs.engine import Engine
+    from plp_lightning.envs.native import Desk
 
 LayoutName = Literal["umaze", "medium"]
 FrameName = Literal["d4rl", "gymnasium"]
@@ -63,25 +66,12 @@ class Maze(Simulator):
         self._radius = radius * self.scale
         self._jitter = jitter
         self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
-        self._physics: BatchedPhysics | None = None
+        self._engine: Engine[Desk] | None = None
 
     @property
-    def tasks(self) -> tuple[str, ...]:
-        """Names of all tasks: ``s<zone>_g_<row>_<column>``, and ``detour_<row>_<column>`` in medium."""
-        return tuple(self.layout.tasks)
-
-    def target_tasks(self, target: str) -> tuple[str, ...]:
-        """Tasks of a target: of a goal ``goal_<row>_<column>`` one for each start zone that has another cell."""
-        return self.layout.target_tasks(target)
-
-    def target_of(self, task: str) -> str:
-        """The goal that a shortest-path task ends at, ``goal_<row>_<column>``; a detour is a target of its own."""
-        found = self.layout.task(task)
-        return task if found.avoid else "goal_{}_{}".format(*found.goal)
-
-    def proxy_tasks(self, target: str) -> tuple[str, ...]:
-        """All shortest-path tasks that end at another goal than ``target``, a goal or a task."""
-        return self.layout.proxy_tasks(target)
+    def tasks(self) -> Tasks:
+        """The maze's: ``s<zone>_g_<row>_<column>``, and ``detour_<row>_<column>`` in medium; targets are goals."""
+        return self.layout.tasks
 
     def spec(self, name: str) -> DomainSpec:
         """Observation and action space: positions in m, velocities in m/s or rad/s, in the maze's frame."""
@@ -94,28 +84,28 @@ class Maze(Simulator):
             ConfigError: If this maze has no such task.
         """
         chosen = [self.layout.task(name) for name in tasks]
-        if self._physics is None:
-            self._physics = self._build()
+        if self._engine is None:
+            self._engine = self._build()
         starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
         self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
         for pending, task in zip(self._pending, chosen, strict=True):
             for cell in self.layout.via(task):
                 pending[cell] = True
-        self._states = self._physics.initial_states(len(chosen))
-        self._states[:, self._physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
-        self._states = self._physics.forward(self._states)
-        self._visit(np.arange(len(chosen)))
-        return self._observe(self._states)
+        everyone = np.arange(len(chosen))
+        self._engine.begin(len(chosen))
+        self._engine.states[:, self._engine.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
+        self._hold(everyone, np.zeros((len(chosen), self._action_size)), substeps=0, forward=True)
+        self._visit(everyone)
+        return self._observe(everyone)
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Apply ``actions (n, A)``; an episode whose physics diverged is invalid and keeps its last valid state."""
-        assert self._physics is not None, "reset comes before step"
         controls = self.actions_in_maze(np.clip(actions.astype(np.float64), -1, 1))
-        states, valid = self._physics.step(self._before_step(self._states[episodes]), controls)
-        self._states[episodes] = states
+        self._before_step(episodes)
+        valid = self._hold(episodes, controls, self.frame_skip, self._forward)
         self._visit(episodes)
-        return Step(self._observe(states), valid & self._succeeded(episodes), ~valid)
+        return Step(self._observe(episodes), valid & self._succeeded(episodes), ~valid)
 
     def states_in_maze(self, states: np.ndarray) -> np.ndarray:
         """States ``(n, O)`` that this domain shows, as the physics has them."""
@@ -139,7 +129,7 @@ class Maze(Simulator):
 
     def floor_plan(self) -> FloorPlan:
         """The drawing of the maze in rows and columns, so that the same maze looks the same for all bodies."""
-        goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.tasks.items()}
+        goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.by_name.items()}
         return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
 
     @property
@@ -164,33 +154,39 @@ class Maze(Simulator):
     def _d4rl_frame(self) -> Frame:
         """D4RL's frame for this body."""
 
-    def _build(self) -> BatchedPhysics:
-        import mujoco  # with numba half a second, which listing tasks need not pay
+    @property
+    def _running(self) -> Engine[Desk]:
+        assert self._engine is not None, "reset comes before step"
+        return self._engine
 
-        from plp_lightning.envs.maze.rollout import BatchedPhysics
+    def _build(self) -> Engine[Desk]:
+        # MuJoCo and numba take half a second, which listing tasks need not pay.
+        from plp_lightning.envs.maze.physics import maze_engine
 
         centres = self.frame.centres(np.array(self.layout.walls)).tolist()
         walls = [Box(x, y, self.scale / 2, self._wall_height / 2) for x, y in centres]
-        model = mujoco.MjModel.from_xml_string(self._mjcf(walls))
-        return BatchedPhysics(model, self.frame_skip, self._forward, self.threads)
+        return maze_engine(self._mjcf(walls), self.threads)
+
+    def _hold(self, rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool) -> np.ndarray:
+        from plp_lightning.envs.maze.physics import hold
+
+        return hold(self._running, rows, controls, substeps, forward)
 
     def _start(self, cells: Sequence[tuple[int, int]], seed: int) -> np.ndarray:
         rng = np.random.default_rng(seed)
         place: np.ndarray = np.array(cells[rng.integers(len(cells))]) + rng.uniform(-self._jitter, self._jitter, 2)
         return place
 
-    def _before_step(self, states: np.ndarray) -> np.ndarray:
-        """What happens to the physical states ``(n, S)`` before each control step."""
-        return states
+    def _before_step(self, rows: np.ndarray) -> None:
+        """What happens to the physical states of ``rows (n,)`` before each control step."""
 
-    def _observe(self, states: np.ndarray) -> Observation[np.ndarray]:
-        assert self._physics is not None
-        observed = np.concatenate([states[:, self._physics.qpos], states[:, self._physics.qvel]], axis=1)
+    def _observe(self, rows: np.ndarray) -> Observation[np.ndarray]:
+        engine = self._running
+        observed = np.concatenate([engine.states[rows, engine.qpos], engine.states[rows, engine.qvel]], axis=1)
         return Observation(self.states_of_domain(observed).astype(np.float32))
 
-    def _positions(self, episodes: np.ndarray) -> np.ndarray:
-        assert self._physics is not None
-        positions: np.ndarray = self._states[episodes, self._physics.qpos][:, :2]
+    def _positions(self, rows: np.ndarray) -> np.ndarray:
+        positions: np.ndarray = self._running.states[rows, self._running.qpos][:, :2]
         return positions
 
     def _visit(self, episodes: np.ndarray) -> None:

@@ -118,6 +118,4 @@ def read_scene(name: str) -> mujoco.MjSpec:
 def _finish(spec: mujoco.MjSpec, image_size: int) -> mujoco.MjModel:
     model = lighten(spec, UNSEEN, image_size)
     model.eq_data[:] = WELD
-    # A diverged episode must be seen, not restarted in silence.
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     return model

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Literal, get_args
 from zlib import crc32
 
@@ -17,7 +16,7 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
-from plp_lightning.envs.threads import available_cores
+from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
     from plp_lightning.envs.tabletop.model import TabletopModel
@@ -76,15 +75,6 @@ class Tabletop(Simulator):
         self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
         self._physics: TabletopPhysics | None = None
 
-    def proxy_tasks(self, target: str) -> tuple[str, ...]:
-        """All tasks but ``target``.
-
-        Raises:
-            ConfigError: If there is no such task.
-        """
-        self._check(target)
-        return tuple(task for task in self.tasks if task != target)
-
     def spec(self, name: str) -> DomainSpec:
         """An image, and position of the hand and opening of the gripper, now and one control step ago."""
         keys = (
@@ -94,7 +84,7 @@ class Tabletop(Simulator):
             ObservationKey("last_hand_pos", (3,), unit="m"),
             ObservationKey("last_gripper", (1,)),
         )
-        return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=f"Meta-World {self._family}, {self.view}")
+        return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=f"Meta-World {self.tasks.family}, {self.view}")
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the hand in the world, ``(N, 3)``, m."""
@@ -108,8 +98,7 @@ class Tabletop(Simulator):
             ConfigError: If a task is unknown.
             UserError: If images cannot be drawn on this machine.
         """
-        for task in tasks:
-            self._check(task)
+        self.tasks.check(tasks)
         layouts = [self._layout(task, self._stream(seed)) for task, seed in zip(tasks, seeds, strict=True)]
         if self._physics is None:
             self._physics = self._build()
@@ -119,18 +108,12 @@ class Tabletop(Simulator):
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
-        rows = np.asarray(episodes, dtype=np.int64)
-        observation, invalid = self._running.step(np.asarray(actions, dtype=np.float64), rows)
-        return Step(observation, self._solved(rows) & ~invalid, invalid)
+        observation, invalid = self._running.step(actions, episodes)
+        return Step(observation, self._solved(episodes) & ~invalid, invalid)
 
     @abstractmethod
     def aims(self, episodes: np.ndarray) -> np.ndarray:
         """Where the ball or handle of each of the ``episodes (n,)`` is, ``(n, 3)``, m: for experts, not policies."""
-
-    @property
-    @abstractmethod
-    def _family(self) -> str:
-        """Name of the scene."""
 
     @abstractmethod
     def _layout(self, task: str, stream: np.random.Generator) -> Layout: ...
@@ -157,17 +140,11 @@ class Tabletop(Simulator):
         from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
         viewpoint = Viewpoint(*VIEWS[self.view])
-        return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads or available_cores())
+        return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads)
 
     def _stream(self, seed: int) -> np.random.Generator:
         # The view joins the seed, so that equal seeds do not align the domains' episodes.
-        return np.random.default_rng([seed, crc32(f"{self._family} {self.view}".encode())])
-
-    def _check(self, task: str) -> None:
-        if task not in self.tasks:
-            near = get_close_matches(task, self.tasks, n=1, cutoff=0.0)[0]
-            known = ", ".join(self.tasks)
-            raise ConfigError(f"no task {task!r} in {self._family}; expected one of: {known}; did you mean {near!r}?")
+        return np.random.default_rng([seed, crc32(f"{self.tasks.family} {self.view}".encode())])
 
 
 class Reach(Tabletop):
@@ -177,24 +154,17 @@ class Reach(Tabletop):
     states of an episode do not depend on its task.
     """
 
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """The colours."""
-        return ("red", "green", "blue")
+    tasks = Tasks("V2V-Reach", ("red", "green", "blue"))
 
     def arrangement(self, task: str, seed: int) -> str:
         """The balls in the order of their places, ``red green blue`` for instance; the task does not matter."""
         _, order = _draw_reach(self._stream(seed))
-        return " ".join(self.tasks[ball] for ball in np.argsort(order))
+        return " ".join(self.tasks.names[ball] for ball in np.argsort(order))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
         """Where the ball to be touched is, ``(n, 3)``, m."""
         aims: np.ndarray = self._balls[episodes, self._goal[episodes]]
         return aims
-
-    @property
-    def _family(self) -> str:
-        return "V2V-Reach"
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
         from plp_lightning.envs.tabletop.physics import Layout
@@ -209,7 +179,7 @@ class Reach(Tabletop):
 
     def _begin(self, tasks: Sequence[str], layouts: Sequence[Layout]) -> None:
         self._balls = np.array([layout.furniture for layout in layouts]).reshape(-1, 3, 3)
-        self._goal = np.array([self.tasks.index(task) for task in tasks], dtype=np.int64)
+        self._goal = np.array([self.tasks.names.index(task) for task in tasks], dtype=np.int64)
         self._touched = np.full(len(tasks), -1)
 
     def _solved(self, rows: np.ndarray) -> np.ndarray:
@@ -224,19 +194,12 @@ class Reach(Tabletop):
 class Window(Tabletop):
     """Close a window that stands in a known quarter of the table, or open one that stands anywhere on it."""
 
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """``close_x0y0`` to ``close_x1y1``, by quarter, and ``open``."""
-        return (*AREAS, "open")
+    tasks = Tasks("V2V-Open", (*AREAS, "open"))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
         """Where the handle is, ``(n, 3)``, m."""
         handle: np.ndarray = self._running.sites[episodes, self._handle[episodes]]
         return handle
-
-    @property
-    def _family(self) -> str:
-        return "V2V-Open"
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
         from plp_lightning.envs.tabletop.physics import Layout

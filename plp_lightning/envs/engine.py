@@ -1,0 +1,104 @@
+"""One engine under all simulators: many episodes of one MuJoCo model, advanced together on all cores.
+
+An episode's state lives in a row of an array, not in an ``MjData``: a thread puts a row on its desk, advances it and
+writes the result back. Rows carry the solver's warm start and the last controls too, so a row's future depends on
+nothing but the row and its actions. A family gives the model and a function that advances some rows on a desk.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Generic, TypeVar
+
+import mujoco
+import numpy as np
+
+from plp_lightning.envs.native import STATE
+from plp_lightning.envs.threads import available_cores
+
+R = TypeVar("R")
+Advance = Callable[[R, np.ndarray, np.ndarray, np.ndarray], object]
+"""Of a thread's room, rows ``(m,)``, their actions ``(m, A)`` and ``valid (m,)``: advance the valid rows in place, as
+:func:`~plp_lightning.envs.native.load` and :func:`~plp_lightning.envs.native.save` do, and mark those that diverge."""
+
+
+class _Own(threading.local):
+    """What a thread of one pool works with. It dies with its thread, in its thread, as an OpenGL context must."""
+
+    data: mujoco.MjData | None = None
+    room: Any = None
+
+
+# Of the module, not of an engine: that may be let go by another thread, which would free another context's pictures.
+_own = _Own()
+
+
+class Engine(Generic[R]):
+    """The states of E episodes, and the threads that advance them.
+
+    Args:
+        model: What is simulated; its automatic reset is switched off, since a diverged episode must be seen.
+        room: Makes of the model and a thread's MjData what the thread works with.
+        threads: How many; 0 means one for each core.
+        chunk: Rows that a thread takes at a time: few, so that none waits long for the last.
+    """
+
+    states: np.ndarray
+    """``(E, S)`` float64."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        room: Callable[[mujoco.MjModel, mujoco.MjData], R],
+        threads: int = 0,
+        chunk: int = 1,
+    ) -> None:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self.model, self.threads, self.chunk = model, threads or available_cores(), chunk
+        self.qpos, self.qvel = self.columns(mujoco.mjtState.mjSTATE_QPOS), self.columns(mujoco.mjtState.mjSTATE_QVEL)
+        self._room = room
+        self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="physics")
+
+    def columns(self, part: mujoco.mjtState) -> slice:
+        """Columns of the states that hold one part of it, such as ``mjtState.mjSTATE_MOCAP_POS``."""
+        start = mujoco.mj_stateSize(self.model, STATE & (int(part) - 1))
+        return slice(start, start + mujoco.mj_stateSize(self.model, int(part)))
+
+    def begin(self, episodes: int) -> None:
+        """Make a row for each of so many episodes: the model's reference configuration at rest."""
+        row = np.empty(mujoco.mj_stateSize(self.model, STATE))
+        mujoco.mj_getState(self.model, mujoco.MjData(self.model), row, STATE)
+        self.states = np.tile(row, (episodes, 1))
+
+    def step(self, rows: np.ndarray, actions: np.ndarray, advance: Advance[R]) -> np.ndarray:
+        """Advance ``rows (n,)`` by ``actions (n, A)``, shared out among the threads.
+
+        Returns:
+            Which are valid, ``(n,)`` bool: a row whose action is not finite or whose physics diverges is not, and
+            keeps its last valid state.
+        """
+        rows, actions = np.ascontiguousarray(rows, np.int64), np.ascontiguousarray(actions, np.float64)
+        valid: np.ndarray = np.isfinite(actions).all(axis=1)
+        self.share(len(rows), lambda room, part: advance(room, rows[part], actions[part], valid[part]))
+        return valid
+
+    def share(self, count: int, work: Callable[[R, slice], object]) -> None:
+        """Do ``work`` on all parts of ``range(count)``, each in some thread's room."""
+        starts = iter(range(0, count, self.chunk))
+
+        def labour() -> None:
+            room = self._enter()
+            for start in starts:  # whoever is free takes the next
+                work(room, slice(start, min(start + self.chunk, count)))
+
+        for job in [self._pool.submit(labour) for _ in range(min(self.threads, -(-count // self.chunk)))]:
+            job.result()
+
+    def _enter(self) -> R:
+        if _own.data is None:
+            data = mujoco.MjData(self.model)
+            _own.room, _own.data = self._room(self.model, data), data
+        room: R = _own.room
+        return room

@@ -1,0 +1,58 @@
+"""How bodies in mazes advance: rows of states by controls that are held, in compiled code."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from plp_lightning.envs.engine import Engine
+from plp_lightning.envs.native import Desk, entry, load, mj_forward, mj_step, save
+
+CHUNK = 8
+"""Episodes that a thread takes at a time: a step of one is shorter than the way into compiled code."""
+
+
+def maze_engine(mjcf: str, threads: int = 0) -> Engine[Desk]:
+    """The engine of the model that is described as ``mjcf``."""
+    return Engine(mujoco.MjModel.from_xml_string(mjcf), Desk.of, threads, CHUNK)
+
+
+def hold(
+    engine: Engine[Desk], rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool = False
+) -> np.ndarray:
+    """Apply ``controls (n, U)`` to ``rows (n,)`` for one control step.
+
+    Args:
+        engine: The states, changed in place.
+        rows: Which.
+        controls: What is held.
+        substeps: Physics steps of the control step; with none, time stands still.
+        forward: Compute forces with ``mj_forward`` first, as environments do that set the state there; it gives the
+            solver another warm start.
+
+    Returns:
+        Which rows are valid, ``(n,)`` bool, see :meth:`Engine.step`.
+    """
+    return engine.step(rows, controls, lambda desk, *part: _hold(desk, engine.states, *part, substeps, forward))
+
+
+@entry
+def _hold(
+    desk: Desk,
+    states: np.ndarray,
+    rows: np.ndarray,
+    controls: np.ndarray,
+    valid: np.ndarray,
+    substeps: int,
+    forward: bool,
+) -> None:
+    for i in range(len(rows)):
+        state = states[rows[i]]
+        valid[i] = valid[i] and load(desk, state)
+        if valid[i]:
+            if forward:
+                mj_forward(desk.model, desk.data)  # the forces of the last controls, as in the environment
+            desk.ctrl[:] = controls[i]
+            for _ in range(substeps):
+                mj_step(desk.model, desk.data)
+            valid[i] = save(desk, state)
