@@ -68,15 +68,14 @@ def inner(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class Desk(NamedTuple):
-    """One thread's MjData, seen through arrays that share its memory."""
+    """One thread's MjData: where it is, and what every family needs of it."""
 
     model: int
     """Address of the MjModel."""
     data: int
     """Address of the MjData."""
-    qpos: np.ndarray
-    qvel: np.ndarray
     ctrl: np.ndarray
+    """``(U,)``: the controls that are held."""
     after: np.ndarray
     """``(S,)``: room for a state."""
 
@@ -84,7 +83,7 @@ class Desk(NamedTuple):
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Desk:
         """Views of ``data``, valid as long as it lives."""
         room = np.empty(mujoco.mj_stateSize(model, STATE))
-        return cls(model._address, data._address, data.qpos, data.qvel, data.ctrl, room)
+        return cls(model._address, data._address, data.ctrl, room)
 
 
 @inner

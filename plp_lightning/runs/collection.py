@@ -6,7 +6,7 @@ import itertools
 import multiprocessing
 import shlex
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -18,8 +18,8 @@ from datamodules.errors import UserError
 from datamodules.store.writer import TrajectoryFile, add_trajectories
 from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.base import Domain
-from plp_lightning.envs.rollout import rollout
+from plp_lightning.envs.base import Domain, Step
+from plp_lightning.envs.rollout import Observer, rollout
 from plp_lightning.envs.threads import available_cores
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.runs.versions import versions
@@ -194,16 +194,19 @@ def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Traje
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
     demonstrator = Demonstrator(domain, tasks, seeds, recipe.noise, recipe.random_start_steps)
-    episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.hold_steps)
+    episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.hold_steps, [demonstrator])
     solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.random_start_steps))
-    return [
-        Trajectory(job.domain, job.task, *demonstrator.episode(int(i)), seed=seeds[int(i)], success=True)
-        for i in solved
-    ]
+    return [_trajectory(job, demonstrator, int(i)) for i in solved]
 
 
-class Demonstrator:
-    """Lets an expert act and writes down what it saw and did.
+def _trajectory(job: Job, demonstrator: Demonstrator, index: int) -> Trajectory:
+    observation, actions = demonstrator.episode(index)
+    acted_on = observation.take(slice(len(actions)))  # the file has no place yet for what was seen last
+    return Trajectory(job.domain, job.task, acted_on, actions, seed=demonstrator.seeds[index], success=True)
+
+
+class Demonstrator(Observer):
+    """Lets an expert act, hears what comes of it, and writes down all that was seen and what the expert wanted.
 
     Args:
         domain: Who acts, and where.
@@ -220,7 +223,6 @@ class Demonstrator:
         self.expert, self.noise, self.random_start_steps = domain.expert, noise, random_start_steps
         self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
         self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
-        self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
 
     @cached_property
     def drifts(self) -> np.ndarray:
@@ -229,26 +231,38 @@ class Demonstrator:
         drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in self.seeds]
         return np.array(drifts, dtype=np.float32)
 
+    def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
+        """Forget everything but how the episodes begin."""
+        self.drifting = self.random_start_steps
+        self.seen = [(np.arange(len(tasks)), observation)]
+        self.wanted: list[tuple[np.ndarray, np.ndarray]] = []
+
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """The expert's actions, with noise if asked for; before it takes over, the episodes' own random ones."""
-        if self.random_start_steps > 0:
-            self.random_start_steps -= 1
+        if self.drifting > 0:
             drifting: np.ndarray = self.drifts[episodes]
             return drifting
-        if not self.steps:
+        if not self.wanted:
             self.expert.begin(self.simulator, self.tasks, self.seeds)
         actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
-        self.steps.append((episodes, observation, actions))
+        self.wanted.append((episodes, actions))
         if self.noise == 0:
             return actions
         shaken = [self.generators[e].normal(0, self.noise, actions.shape[1]) for e in episodes]
         noisy: np.ndarray = np.clip(actions + np.array(shaken, dtype=np.float32), -1, 1)
         return noisy
 
+    def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
+        """Write down what the episodes show now; while they drift, only that."""
+        if self.drifting > 0:
+            self.drifting -= 1
+            self.seen.clear()
+        self.seen.append((episodes, step.observation))
+
     def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
-        """Observations ``(T, …)`` and actions ``(T, A)`` of one episode."""
-        spots = [(step, np.searchsorted(step[0], index)) for step in self.steps]
-        rows = [(obs.take(i), actions[i]) for (ids, obs, actions), i in spots if i < len(ids) and ids[i] == index]
-        states = np.stack([obs.state for obs, _ in rows])
-        images = [obs.image for obs, _ in rows if obs.image is not None]
-        return Observation(states, np.stack(images) if images else None), np.stack([action for _, action in rows])
+        """Observations ``(T + 1, …)``, the last after the last action, and actions ``(T, A)`` of one episode."""
+        seen = [observation.take(i) for episodes, observation in self.seen for i in np.flatnonzero(episodes == index)]
+        actions = [wanted[episodes == index] for episodes, wanted in self.wanted]
+        images = [observation.image for observation in seen if observation.image is not None]
+        states = np.stack([observation.state for observation in seen])
+        return Observation(states, np.stack(images) if images else None), np.concatenate(actions)

@@ -190,7 +190,9 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, policy:
         FreezeGuard(),
         FiniteGuard(),
         RandomState(),
-        SimulatorEvaluation(simulators, experiment.eval_settings_of(policy), plan.episodes, every, experiment.seed),
+        SimulatorEvaluation(
+            simulators, experiment.eval_settings_of(policy), plan.episodes, every, experiment.seed, plan.metrics
+        ),
     ]
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
@@ -208,7 +210,7 @@ def assess(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str
     policy.eval()
     settings, shown = experiment.eval_settings_of(policy), experiment.evaluation.films
     pictures = EpisodePictures.of(experiment.simulators, settings, experiment.data.target_task, shown)
-    outcomes = experiment.evaluate(policy, recorders=pictures.stages)
+    outcomes = experiment.evaluate(policy, observers=pictures.observers)
     scores = experiment.alignment(policy)
     pictures.publish(trainer)
     return {"trials": {name: found.to_dict() for name, found in outcomes.items()}, "alignment": scores}

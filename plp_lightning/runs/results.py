@@ -21,6 +21,8 @@ ROWS = {
     "proxy": "proxy tasks in target domain",
     "proxy_source": "proxy tasks in source domain",
 }
+COUNTED = {"success", "interval", "before", "episodes", "invalid"}
+"""Keys of an outcome that are no metric of behaviour."""
 
 
 def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None = None) -> dict[str, Any]:
@@ -85,19 +87,22 @@ def print_success(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None
 
 def _print_table(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
     table = Table(title=title)
-    for column in ("success", "rate", "95 % interval", "before adaptation", "episodes", "invalid"):
+    found = {label: outcomes[trial] for trial, label in ROWS.items() if trial in outcomes}
+    behaviour = list(dict.fromkeys(key for outcome in found.values() for key in outcome if key not in COUNTED))
+    columns = ("success", "rate", "95 % interval", "before adaptation", "episodes", "invalid")
+    for column in (*columns, *(name.replace("_", " ") for name in behaviour)):
         table.add_column(column, justify="left" if column == "success" else "right")
-    for trial, label in ROWS.items():
-        if trial in outcomes:
-            table.add_row(label, *_cells(outcomes[trial]))
-    Console(width=None if Console().is_terminal else 110).print(table)
+    for label, outcome in found.items():
+        table.add_row(label, *_cells(outcome, behaviour))
+    Console(width=None if Console().is_terminal else 130).print(table)
 
 
-def _cells(outcome: Mapping[str, Any]) -> list[str]:
+def _cells(outcome: Mapping[str, Any], behaviour: Sequence[str]) -> list[str]:
     low, high = outcome["interval"]
     before = "–" if outcome["before"] is None else f"{outcome['before']:.2f}"
     counts = [str(outcome["episodes"]), str(outcome["invalid"])]
-    return [f"{outcome['success']:.2f}", f"{low:.2f} – {high:.2f}", before, *counts]
+    measured = [f"{outcome[name]:.1f}" if name in outcome else "–" for name in behaviour]
+    return [f"{outcome['success']:.2f}", f"{low:.2f} – {high:.2f}", before, *counts, *measured]
 
 
 def log_hyperparameters(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any]) -> None:

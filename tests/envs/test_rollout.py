@@ -105,6 +105,6 @@ def test_an_outcome_does_not_depend_on_what_else_is_run(pairs: list[tuple[int, i
 
 def test_the_expert_solves_every_task_from_every_start() -> None:
     simulator = LinearPoint(2)
-    expert, tasks, seeds = LinearPointExpert(), list(simulator.tasks) * 5, list(range(40))
+    expert, tasks, seeds = LinearPointExpert(), list(simulator.tasks.names) * 5, list(range(40))
     expert.begin(simulator, tasks, seeds)
     assert rollout(simulator, expert.act, tasks, seeds).success.all()

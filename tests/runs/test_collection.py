@@ -189,7 +189,7 @@ def test_a_recipe_among_earlier_ones_counts_too(tmp_path: Path) -> None:
 def test_demonstrations_from_elsewhere_are_taken_as_they_are(tmp_path: Path, provenance: Mapping[str, str]) -> None:
     path, domains = tmp_path / "a.hdf5", {"flat": Domain(LinearPoint(1, 3), LinearPointExpert())}
     specs = [domain.simulator.spec(name) for name, domain in domains.items()]
-    write_trajectories(path, specs, LinearPoint(1, 3).tasks, made(LinearPointExpert(), job(1)), provenance)
+    write_trajectories(path, specs, LinearPoint(1, 3).tasks.names, made(LinearPointExpert(), job(1)), provenance)
     ExpertCollector(domains, RECIPE).check(path)
 
 

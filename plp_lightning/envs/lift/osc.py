@@ -116,8 +116,8 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
     speed, posture = np.empty((size, 1)), np.empty((size, 1))
     for i in range(size):
         dof = arm.dof[i]
-        speed[i, 0] = work.desk.qvel[dof]
-        posture[i, 0] = REST_STIFFNESS * (rest[i] - work.desk.qpos[arm.qpos[i]]) - REST_DAMPING * speed[i, 0]
+        speed[i, 0] = work.qvel[dof]
+        posture[i, 0] = REST_STIFFNESS * (rest[i] - work.qpos[arm.qpos[i]]) - REST_DAMPING * speed[i, 0]
         for j in range(size):
             mass[i, j] = work.mass[dof, arm.dof[j]]
         for axis in range(6):
@@ -179,7 +179,7 @@ def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, res
     desk, goal = work.desk, np.empty(3)
     for substep in range(SUBSTEPS):
         # What has no place or speed must not reach the controller, nor MuJoCo's search for contacts.
-        if not (sane(desk.qpos) and sane(desk.qvel)):
+        if not (sane(work.qpos) and sane(work.qvel)):
             return False
         mj_step1(desk.model, desk.data)
         if substep == 0:
@@ -196,16 +196,16 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
     arm_size, finger_size = len(arm.qpos), len(arm.finger_qpos)
     at = 3 * arm_size
     for i in range(arm_size):
-        angle = work.desk.qpos[arm.qpos[i]]
+        angle = work.qpos[arm.qpos[i]]
         row[i], row[arm_size + i] = np.cos(angle), np.sin(angle)
-        row[2 * arm_size + i] = work.desk.qvel[arm.dof[i]]
+        row[2 * arm_size + i] = work.qvel[arm.dof[i]]
     for i in range(3):
         row[at + i] = work.site_pos[arm.site, i]
     for i in range(4):  # MuJoCo puts the scalar first, robosuite last
         row[at + 3 + i] = work.body_quaternion[arm.hand, (i + 1) % 4]
     for i in range(finger_size):
-        row[at + 7 + i] = work.desk.qpos[arm.finger_qpos[i]]
-        row[at + 7 + finger_size + i] = work.desk.qvel[arm.finger_dof[i]]
+        row[at + 7 + i] = work.qpos[arm.finger_qpos[i]]
+        row[at + 7 + finger_size + i] = work.qvel[arm.finger_dof[i]]
 
 
 @entry
@@ -244,4 +244,4 @@ def step_episodes(
         if valid[i]:
             observe(arm, work, episodes.observation[row])
             episodes.grip[row] = grip
-            episodes.block_z[row] = work.desk.qpos[arm.block + 2]
+            episodes.block_z[row] = work.qpos[arm.block + 2]

@@ -40,6 +40,8 @@ class Workspace(NamedTuple):
     """One thread's MjData, seen through arrays that share its memory, and room for the controller."""
 
     desk: Desk
+    qpos: np.ndarray
+    qvel: np.ndarray
     bias: np.ndarray
     inertia: np.ndarray
     site_pos: np.ndarray
@@ -54,7 +56,7 @@ class Workspace(NamedTuple):
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
         """Views of ``data``, valid as long as it lives."""
         return cls(
-            Desk.of(model, data), data.qfrc_bias, data.qM, data.site_xpos,
+            Desk.of(model, data), data.qpos, data.qvel, data.qfrc_bias, data.qM, data.site_xpos,
             data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),
         )  # fmt: skip
 

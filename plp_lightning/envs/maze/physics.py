@@ -33,7 +33,11 @@ def hold(
     Returns:
         Which rows are valid, ``(n,)`` bool, see :meth:`Engine.step`.
     """
-    return engine.step(rows, controls, lambda desk, *part: _hold(desk, engine.states, *part, substeps, forward))
+
+    def advance(desk: Desk, rows: np.ndarray, controls: np.ndarray, valid: np.ndarray) -> None:
+        _hold(desk, engine.states, rows, controls, valid, substeps, forward)
+
+    return engine.step(rows, controls, advance)
 
 
 @entry

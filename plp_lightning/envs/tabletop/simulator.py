@@ -84,7 +84,8 @@ class Tabletop(Simulator):
             ObservationKey("last_hand_pos", (3,), unit="m"),
             ObservationKey("last_gripper", (1,)),
         )
-        return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=f"Meta-World {self.tasks.family}, {self.view}")
+        env = f"Meta-World {self.tasks.family}, {self.view}"
+        return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=env)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the hand in the world, ``(N, 3)``, m."""
