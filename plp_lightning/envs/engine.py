@@ -8,7 +8,7 @@ nothing but the row and its actions. A family gives the model and a function tha
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
 
@@ -42,7 +42,7 @@ class Engine(Generic[R]):
         model: What is simulated; its automatic reset is switched off, since a diverged episode must be seen.
         room: Makes of the model and a thread's MjData what the thread works with.
         threads: How many; 0 means one for each core.
-        chunk: Rows that a thread takes at a time: few, so that none waits long for the last.
+        least: Rows that a thread takes at a time at least, where the way to them costs more than one takes.
     """
 
     states: np.ndarray
@@ -53,10 +53,10 @@ class Engine(Generic[R]):
         model: mujoco.MjModel,
         room: Callable[[mujoco.MjModel, mujoco.MjData], R],
         threads: int = 0,
-        chunk: int = 1,
+        least: int = 1,
     ) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self.model, self.threads, self.chunk = model, threads or available_cores(), chunk
+        self.model, self.threads, self.least = model, threads or available_cores(), least
         self.qpos, self.qvel = self.columns(mujoco.mjtState.mjSTATE_QPOS), self.columns(mujoco.mjtState.mjSTATE_QVEL)
         self._room = room
         self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="physics")
@@ -86,15 +86,24 @@ class Engine(Generic[R]):
 
     def share(self, count: int, work: Callable[[R, slice], object]) -> None:
         """Do ``work`` on all parts of ``range(count)``, each in some thread's room."""
-        starts = iter(range(0, count, self.chunk))
+        parts = list(self._parts(count))
+        left = iter(parts)
 
         def labour() -> None:
             room = self._enter()
-            for start in starts:  # whoever is free takes the next
-                work(room, slice(start, min(start + self.chunk, count)))
+            for part in left:  # whoever is free takes the next
+                work(room, part)
 
-        for job in [self._pool.submit(labour) for _ in range(min(self.threads, -(-count // self.chunk)))]:
+        for job in [self._pool.submit(labour) for _ in range(min(self.threads, len(parts)))]:
             job.result()
+
+    def _parts(self, count: int) -> Iterator[slice]:
+        """Shares of ``range(count)``, ever smaller, so that no thread waits long for the last."""
+        start = 0
+        while start < count:
+            stop = min(count, start + max(self.least, (count - start) // (2 * self.threads)))
+            yield slice(start, stop)
+            start = stop
 
     def _enter(self) -> R:
         if _own.data is None:

@@ -8,13 +8,13 @@ import numpy as np
 from plp_lightning.envs.engine import Engine
 from plp_lightning.envs.native import Desk, entry, load, mj_forward, mj_step, save
 
-CHUNK = 8
-"""Episodes that a thread takes at a time: a step of one is shorter than the way into compiled code."""
+LEAST = 8
+"""Episodes that a thread takes at a time: a step of one point is shorter than the way into compiled code."""
 
 
 def maze_engine(mjcf: str, threads: int = 0) -> Engine[Desk]:
     """The engine of the model that is described as ``mjcf``."""
-    return Engine(mujoco.MjModel.from_xml_string(mjcf), Desk.of, threads, CHUNK)
+    return Engine(mujoco.MjModel.from_xml_string(mjcf), Desk.of, threads, LEAST)
 
 
 def hold(

@@ -71,7 +71,7 @@ class TabletopPhysics:
         self.observed = np.zeros((count, 8), dtype=np.float32)
         self.sites = np.zeros((count, len(self.scene.sites), 3))
         self.images = np.zeros((count, size, size, 3), dtype=np.uint8)
-        self.engine.share(count, lambda room, part: self._begin(room, part.start, layouts[part.start]))
+        self.engine.share(count, lambda room, part: self._begin(room, part, layouts))
         self.observed[:, 4:] = self.observed[:, :4]
         return self._observation(np.arange(count))
 
@@ -90,9 +90,15 @@ class TabletopPhysics:
     def _observation(self, rows: np.ndarray) -> Observation[np.ndarray]:
         return Observation(self.observed[rows], self.images[rows])
 
-    def _begin(self, room: _Room, row: int, layout: Layout) -> None:
-        model, scene, data, state = self.scene.model, self.scene, room.data, self.engine.states[row]
-        load(room.desk, state)
+    def _begin(self, room: _Room, part: slice, layouts: Sequence[Layout]) -> None:
+        for row in range(part.start, part.stop):
+            load(room.desk, self.engine.states[row])
+            self._settle(room.data, layouts[row])
+            save(room.desk, self.engine.states[row])
+            self._look(room, row)
+
+    def _settle(self, data: mujoco.MjData, layout: Layout) -> None:
+        model, scene = self.scene.model, self.scene
         data.mocap_pos[scene.furniture] = layout.furniture
         data.mocap_pos[scene.follower], data.mocap_quat[scene.follower] = layout.hand, DOWN
         data.ctrl[:] = -1.0, 1.0
@@ -101,8 +107,6 @@ class TabletopPhysics:
         data.qvel[scene.object_qvel] = 0.0
         # Meta-World leaves out this call, and shows where things stood before.
         mujoco.mj_forward(model, data)
-        save(room.desk, state)
-        self._look(room, row)
 
     def _advance(self, room: _Room, rows: np.ndarray, actions: np.ndarray, valid: np.ndarray) -> None:
         for i, row in enumerate(rows):
