@@ -16,6 +16,7 @@ from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.callbacks.preemption import PreemptedError
 from plp_lightning.envs.base import Domain, Expert, Simulator
+from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import CollectionConfig, ExpertCollector, Job, demonstrate
@@ -234,6 +235,24 @@ def test_without_noise_the_recorded_actions_lead_through_the_recorded_states() -
         for seen, action in zip(trajectory.observation.state, trajectory.actions, strict=True):
             np.testing.assert_array_equal(seen, state[0])
             state = simulator.step(action[None], np.array([0])).observation.state
+
+
+@pytest.mark.parametrize("random_start_steps", [0, 4])
+def test_demonstrators_keep_what_is_seen_after_the_last_action(random_start_steps: int) -> None:
+    domain = Domain(LinearPoint(1, 3), LinearPointExpert())
+    tasks, seeds = ["goal_1", "goal_4", "goal_6"], [5, 6, 7]
+    demonstrator = collection.Demonstrator(domain, tasks, seeds, 0.0, random_start_steps)
+    outcome = rollout(domain.simulator, demonstrator.act, tasks, seeds, observers=[demonstrator])
+    for index, (task, seed) in enumerate(zip(tasks, seeds, strict=True)):
+        observation, actions = demonstrator.episode(index)
+        assert len(observation.state) == len(actions) + 1 == outcome.steps[index] - random_start_steps + 1
+        state = domain.simulator.reset([task], [seed]).state
+        for drift in [demonstrator.drifts[index]] * random_start_steps:
+            state = domain.simulator.step(drift[None], np.array([0])).observation.state
+        for seen, action in zip(observation.state, actions, strict=False):
+            np.testing.assert_array_equal(seen, state[0])
+            state = domain.simulator.step(action[None], np.array([0])).observation.state
+        np.testing.assert_array_equal(observation.state[-1], state[0])
 
 
 @pytest.mark.parametrize("hold_steps", [0, 4])
