@@ -14,7 +14,7 @@ from plp_lightning.envs.tasks import Tasks
 
 
 class Step(NamedTuple):
-    """What one control step brought, a row for each episode that was stepped."""
+    """Result of one control step, a row for each episode that was stepped."""
 
     observation: Observation[np.ndarray]
     """State ``(n, O)`` float32, image ``(n, H, W, C)`` uint8."""
@@ -59,7 +59,7 @@ class Simulator(ABC):
 
 
 class Expert(ABC):
-    """Who demonstrates: acts on many episodes of one simulator at once, from observations alone."""
+    """Demonstrates: acts on many episodes of one simulator at once, from observations alone."""
 
     @abstractmethod
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:

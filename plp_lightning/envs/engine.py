@@ -20,12 +20,12 @@ from plp_lightning.envs.threads import available_cores
 
 R = TypeVar("R")
 Advance = Callable[[R, np.ndarray, np.ndarray, np.ndarray], object]
-"""Of a thread's room, rows ``(m,)``, their actions ``(m, A)`` and ``valid (m,)``: advance the valid rows in place, as
-:func:`~plp_lightning.envs.native.load` and :func:`~plp_lightning.envs.native.save` do, and mark those that diverge."""
+"""Takes a thread's room, rows ``(m,)``, their actions ``(m, A)`` and ``valid (m,)``; advances the valid rows between
+:func:`~plp_lightning.envs.native.load` and :func:`~plp_lightning.envs.native.save`, and marks those that diverge."""
 
 
 class _Own(threading.local):
-    """What a thread of one pool works with. It dies with its thread, in its thread, as an OpenGL context must."""
+    """One pool thread's MjData and room. They die with their thread, in it, as an OpenGL context must."""
 
     data: mujoco.MjData | None = None
     room: Any = None

@@ -52,7 +52,10 @@ _set_state = _c_function("mj_setState", _POINTER, _POINTER, _POINTER, types.uint
 
 
 def entry(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile what Python calls: without the interpreter's lock, machine code kept on disk."""
+    """Compile what Python calls: without the interpreter's lock, machine code kept on disk.
+
+    numba notices changes of the function's own file alone: after one here, delete the ``.nbi`` files of its callers.
+    """
     return cast("Callable[P, R]", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
 
 
@@ -88,7 +91,7 @@ class Desk(NamedTuple):
 
 @inner
 def sane(values: np.ndarray) -> bool:
-    """Whether all ``values (n,)`` are finite and of a size that physics can have."""
+    """True if all ``values (n,)`` are finite and of a size that physics can have."""
     for value in values:  # noqa: SIM110 - numba compiles the loop, not the generator
         if not abs(value) < DIVERGED:
             return False
@@ -97,7 +100,7 @@ def sane(values: np.ndarray) -> bool:
 
 @entry
 def load(desk: Desk, state: np.ndarray) -> bool:
-    """Put a row's ``state (S,)`` on the desk; whether it is one to go on from."""
+    """Put a row's ``state (S,)`` on the desk; True if it is one to go on from."""
     _set_state(desk.model, desk.data, state.ctypes.data, STATE)
     return sane(state)
 
@@ -107,7 +110,7 @@ def save(desk: Desk, state: np.ndarray) -> bool:
     """Make what is on the desk the row's ``state (S,)``, unless it diverged: then the row keeps its last valid one.
 
     Returns:
-        Whether the state is valid.
+        True if the state is valid.
     """
     _get_state(desk.model, desk.data, desk.after.ctypes.data, STATE)
     if not sane(desk.after):

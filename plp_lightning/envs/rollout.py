@@ -13,7 +13,7 @@ from plp_lightning.envs.base import Simulator, Step
 
 @dataclass(frozen=True)
 class Episodes:
-    """How E episodes ended; row i belongs to the i-th task and seed."""
+    """Outcome of E episodes; row i belongs to the i-th task and seed."""
 
     success: np.ndarray
     """``(E,)`` bool."""

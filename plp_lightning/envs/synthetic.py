@@ -118,7 +118,7 @@ class SeenPoint(LinearPoint):
         return np.array([places[np.random.default_rng([seed, 1]).permutation(3)] for seed in seeds])
 
     def goals_of(self, tasks: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
-        """Where the spots of the tasks' colours are, ``(E, 2)``."""
+        """Places of the spots in the tasks' colours, ``(E, 2)``."""
         return self.spots(seeds)[np.arange(len(tasks)), [self.tasks.names.index(task) for task in tasks]]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:

@@ -1,4 +1,4 @@
-"""What there is to do in a family of domains: tasks by name, targets made of them, and the proxies of a target."""
+"""Tasks of a family of domains by name, targets made of them, and the proxies of a target."""
 
 from __future__ import annotations
 

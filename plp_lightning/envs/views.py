@@ -1,4 +1,4 @@
-"""What a simulator may show beside its observations, for pictures and scores; none of it is needed to train or test.
+"""Views that a simulator may have beside its observations, for pictures and scores; training and testing need none.
 
 A simulator has a view if it has the method. Whoever needs one asks for it here.
 """
@@ -36,7 +36,7 @@ class Located(Protocol):
     """A simulator whose states are somewhere in a frame that all domains of an experiment share."""
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
-        """Where raw states ``(N, O)`` are, ``(N, P)``: two domains' states correspond if they are at one place."""
+        """Places ``(N, P)`` of raw states ``(N, O)``: two domains' states correspond if they are at one place."""
 
 
 @runtime_checkable
@@ -52,7 +52,7 @@ class Arranged(Protocol):
     """A simulator whose episodes of a task differ by more than continuous amounts."""
 
     def arrangement(self, task: str, seed: int) -> str:
-        """What an episode of ``task`` with ``seed`` holds in which place, in a word."""
+        """A word for what an episode of ``task`` with ``seed`` holds in which place."""
 
 
 def located(simulator: object) -> Located:

@@ -1,4 +1,4 @@
-"""How a policy behaves, beside whether it succeeds."""
+"""Metrics of a policy's behaviour, beside its success."""
 
 from __future__ import annotations
 

@@ -18,13 +18,13 @@ class Acting(Protocol):
     """All that an evaluation asks of a policy."""
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
-        """Who acts in episodes of ``tasks`` that begin now."""
+        """The actor in episodes of ``tasks`` that begin now."""
         ...
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one set of episodes went.
+    """Result of one set of episodes.
 
     Args:
         success: Share of successful episodes; invalid ones count as failed.
@@ -57,7 +57,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class EvalSetting:
-    """Which episodes to run: a domain and the tasks that take turns in it."""
+    """Episodes to run: a domain and the tasks that take turns in it."""
 
     domain: str
     tasks: tuple[str, ...]

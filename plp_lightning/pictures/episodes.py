@@ -22,7 +22,7 @@ FILMED = 4
 
 @dataclass(frozen=True)
 class EpisodePictures:
-    """Who watches the episodes of the target task, and what becomes of it.
+    """Watches the episodes of the target task, and shows what it saw.
 
     Args:
         titles: By trial.

@@ -1,4 +1,4 @@
-"""What the cameras saw of episodes: an observer that keeps the images of the first few."""
+"""Films of episodes: an observer that keeps the images of the first few."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class LatentPicture(Callback):
         publish(trainer, "latents", latent_figure(latents, self._joined(policy, data), kinds))
 
     def _arrangements(self, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[str]:
-        """Of each row's episode; empty if the simulator knows of none."""
+        """Arrangement of each row's episode; empty if the simulator knows of none."""
         dataset, simulator = data.datasets[domain], self.simulators.get(domain)
         if not isinstance(simulator, Arranged):
             return []

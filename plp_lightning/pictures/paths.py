@@ -1,4 +1,4 @@
-"""Where episodes went: an observer that keeps every position."""
+"""Paths of episodes: an observer that keeps every position."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from plp_lightning.evaluation.simulation import EvalSetting
 
 @dataclass(frozen=True)
 class Paths:
-    """Where E episodes went, from their first state to their last."""
+    """Ways of E episodes, from their first state to their last."""
 
     tasks: tuple[str, ...]
     positions: tuple[np.ndarray, ...]
@@ -53,7 +53,7 @@ class PathRecorder(Observer):
 
     @property
     def paths(self) -> Paths:
-        """Of the newest episodes."""
+        """Paths of the newest episodes."""
         return Paths(self._tasks, tuple(np.array(positions) for positions in self._positions), self._success.copy())
 
 

@@ -13,7 +13,7 @@ from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.lift.tasks import block_place
 
 GAIN = 3.0
-"""Of the way to the goal, the share covered in one control step at most: 1 is slow, 10 chatters."""
+"""Largest share of the way to the goal that a control step covers: 1 is slow, 10 chatters."""
 STEP = 0.05
 """Way of the hand for an action of 1, m."""
 ABOVE = 0.07

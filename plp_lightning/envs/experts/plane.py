@@ -1,4 +1,4 @@
-"""Where walkers learn to walk: an empty plane, directions that change, and pushes."""
+"""A place for walkers to learn to walk: an empty plane, directions that change, and pushes."""
 
 from __future__ import annotations
 

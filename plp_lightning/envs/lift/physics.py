@@ -55,6 +55,6 @@ class LiftPhysics:
         return self.engine.step(rows, actions, lambda work, *part: step_episodes(arm, work, episodes, *part))
 
     def lifted(self, rows: np.ndarray) -> np.ndarray:
-        """Whether the blocks of ``rows (n,)`` are up, ``(n,)`` bool."""
+        """Mask ``(n,)`` of the ``rows (n,)`` whose blocks are up."""
         up: np.ndarray = self.episodes.block_z[rows] > self.rest_z[rows] + LIFTED
         return up

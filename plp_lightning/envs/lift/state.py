@@ -1,4 +1,4 @@
-"""What stepping R2R-Lift reads and writes: tuples of plain arrays, which compiled code takes as they are."""
+"""The data that stepping R2R-Lift reads and writes: tuples of plain arrays, which compiled code takes as they are."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from plp_lightning.envs.native import Desk
 
 
 class Arm(NamedTuple):
-    """Where the parts of a robot with n arm joints, g finger joints and f finger actuators are in its model."""
+    """Places in its model of the parts of a robot with n arm joints, g finger joints and f finger actuators."""
 
     site: int
     """Site between the fingers: the position of the end effector."""
     hand: int
     """Body whose orientation is observed."""
     block: int
-    """Where the block's free joint starts in qpos."""
+    """Start of the block's free joint in qpos."""
     qpos: np.ndarray
     """``(n,)``, as are dof and actuators."""
     dof: np.ndarray

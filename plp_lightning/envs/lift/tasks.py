@@ -22,7 +22,7 @@ PLACES = {f"x{i}y{j}h{k}": (i, j, k) for i, j, k in product(range(3), repeat=3)}
 
 
 def block_place(task: str) -> np.ndarray:
-    """Where the block of a task rests: its centre ``(3,)`` in the world, m.
+    """Centre ``(3,)`` of the block of a task at rest, in the world, m.
 
     Raises:
         ConfigError: If there is no such task.

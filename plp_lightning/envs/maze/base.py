@@ -1,4 +1,4 @@
-"""What all bodies in a maze share: tasks, starts, success."""
+"""A body in a maze: tasks, starts, success."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Maze(Simulator):
     _wall_height: ClassVar[float]
     """Height of the walls, in m."""
     _forward: ClassVar[bool]
-    """Whether Gymnasium-Robotics computes forces before each control step."""
+    """True if Gymnasium-Robotics computes forces before each control step."""
     horizons: ClassVar[dict[str, int]]
     """Default horizon of each layout."""
 
@@ -124,7 +124,7 @@ class Maze(Simulator):
         return actions
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
-        """Where observed states ``(n, O)`` are: fractional row and column of the maze, ``(n, 2)``."""
+        """Fractional row and column ``(n, 2)`` of the maze that observed states ``(n, O)`` are at."""
         return self.frame.cells(self.states_in_maze(state)[:, :2])
 
     def floor_plan(self) -> FloorPlan:
@@ -135,7 +135,7 @@ class Maze(Simulator):
     @property
     @abstractmethod
     def _body(self) -> str:
-        """What walks in the maze."""
+        """Name of the body in the maze."""
 
     @property
     @abstractmethod
@@ -178,7 +178,7 @@ class Maze(Simulator):
         return place
 
     def _before_step(self, rows: np.ndarray) -> None:
-        """What happens to the physical states of ``rows (n,)`` before each control step."""
+        """Change the physical states of ``rows (n,)`` before a control step."""
 
     def _observe(self, rows: np.ndarray) -> Observation[np.ndarray]:
         engine = self._running

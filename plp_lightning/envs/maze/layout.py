@@ -148,7 +148,7 @@ def _path(way: Mapping[Cell, Cell], start: Cell) -> list[Cell]:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where cells lie in a simulator's plane.
+    """Places of cells in a simulator's plane.
 
     Args:
         origin: Centre of cell (0, 0), in m.

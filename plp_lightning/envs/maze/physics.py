@@ -1,4 +1,4 @@
-"""How bodies in mazes advance: rows of states by controls that are held, in compiled code."""
+"""Bodies in mazes on the engine: rows of states advance by controls that are held, in compiled code."""
 
 from __future__ import annotations
 

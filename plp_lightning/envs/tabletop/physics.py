@@ -26,16 +26,16 @@ ACTION_SCALE = 1.0 / 100
 DOWN = (1.0, 0.0, 1.0, 0.0)
 """Orientation of that point."""
 WORKSPACE = np.array([[-0.5, 0.40, 0.05], [0.5, 1.0, 0.5]])
-"""Where that point may be, m."""
+"""Least and greatest place of that point, m."""
 WIDEST_GRIP = 0.1
 """Distance of the claws that counts as 1, m."""
 
 
 class Layout(NamedTuple):
-    """How one episode begins."""
+    """The beginning of one episode."""
 
     hand: np.ndarray
-    """Where the hand starts, ``(3,)``, m."""
+    """Start of the hand ``(3,)``, m."""
     furniture: np.ndarray
     """Places ``(m, 3)`` of the balls, or of the window, m."""
     object: np.ndarray
@@ -43,7 +43,7 @@ class Layout(NamedTuple):
 
 
 class _Room(NamedTuple):
-    """What a thread works with."""
+    """The things that a thread works with."""
 
     data: mujoco.MjData
     desk: Desk

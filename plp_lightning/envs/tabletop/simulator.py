@@ -36,21 +36,21 @@ RADIUS = 0.05
 SLOTS = np.array([[-0.15, 0.8, 0.15], [0.0, 0.8, 0.15], [0.15, 0.8, 0.15]])
 """Places of the balls, m."""
 REACH_HAND = np.array([[-0.15, 0.5, 0.1], [0.15, 0.65, 0.3]])
-"""Where the hand starts in Reach: lowest and highest, m."""
+"""Lowest and highest start of the hand in Reach, m."""
 PUCK = np.array([0.0, 0.0, 100.0])
 """Meta-World's puck is of no use here; it falls from so high that it never arrives."""
 WINDOW_HAND = np.array([[-0.1, 0.4, 0.15], [0.1, 0.5, 0.25]])
 WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])
-"""Where the window may stand: least and greatest x and y, m."""
+"""Least and greatest x and y of the window's place, m."""
 WINDOW_Z = 0.16
 SLIDE = 0.2
-"""How far the window opens, m."""
+"""Way that the window opens, m."""
 AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}
 """Window-Close, by quarter of the area."""
 
 
 class Tabletop(Simulator):
-    """What Reach and Window have in common: hand, camera, stepping.
+    """A scene on the table: hand, camera, stepping.
 
     The action moves the point that the hand follows by up to 1 cm along x, y and z; its fourth number opens (negative)
     or closes (positive) the gripper. Control runs at 80 Hz.
@@ -114,7 +114,7 @@ class Tabletop(Simulator):
 
     @abstractmethod
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Where the ball or handle of each of the ``episodes (n,)`` is, ``(n, 3)``, m: for experts, not policies."""
+        """Place ``(n, 3)`` of the ball or handle in each of the ``episodes (n,)``, m: for experts, not policies."""
 
     @abstractmethod
     def _layout(self, task: str, stream: np.random.Generator) -> Layout: ...
@@ -163,7 +163,7 @@ class Reach(Tabletop):
         return " ".join(self.tasks.names[ball] for ball in np.argsort(order))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Where the ball to be touched is, ``(n, 3)``, m."""
+        """Place ``(n, 3)`` of the ball to be touched, m."""
         aims: np.ndarray = self._balls[episodes, self._goal[episodes]]
         return aims
 
@@ -198,7 +198,7 @@ class Window(Tabletop):
     tasks = Tasks("V2V-Open", (*AREAS, "open"))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Where the handle is, ``(n, 3)``, m."""
+        """Place ``(n, 3)`` of the handle, m."""
         handle: np.ndarray = self._running.sites[episodes, self._handle[episodes]]
         return handle
 
@@ -227,5 +227,5 @@ class Window(Tabletop):
 
 
 def _draw_reach(stream: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Where the hand begins, and the place of each ball."""
+    """Place of the hand at the start, and of each ball."""
     return stream.uniform(*REACH_HAND), stream.permutation(len(SLOTS))
