@@ -16,7 +16,6 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from plp_lightning.envs.maze.base import Maze
-from plp_lightning.envs.maze.physics import hold
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.threads import available_cores
 
@@ -67,13 +66,13 @@ def measure(name: str, episodes: int, steps: int) -> str:
     maze, rows = BODIES[name](), np.arange(episodes)
     maze.reset([maze.tasks.names[i % 100 % len(maze.tasks.names)] for i in rows], rows.tolist())
     engine = maze._running
-    physical = slice(0, engine.qvel.stop)
+    physical = slice(0, engine.qvel.stop)  # time, positions and velocities
     warm = engine.columns(mujoco.mjtState.mjSTATE_WARMSTART)
     native = Native(engine.model, engine.states[:, physical], engine.states[:, warm], maze.frame_skip)
     rng, seconds, apart = np.random.default_rng(0), np.zeros((2, 2)), np.zeros(steps)
     for t in range(steps):
         controls = rng.uniform(-1, 1, (episodes, engine.model.nu))
-        ways = partial(hold, engine, rows, controls, maze.frame_skip), partial(native.step, controls)
+        ways = partial(engine.hold, rows, controls, maze.frame_skip), partial(native.step, controls)
         times = [(time.perf_counter(), time.process_time())]
         for way in ways:
             way()

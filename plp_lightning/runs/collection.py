@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -193,7 +193,7 @@ def demonstrate(job: Job, recipe: CollectionConfig) -> list[Trajectory]:
 def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Trajectory]:
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
-    demonstrator = Demonstrator(domain, tasks, seeds, recipe.noise, recipe.random_start_steps)
+    demonstrator = Demonstrator(domain, recipe.noise, recipe.random_start_steps)
     episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.hold_steps, [demonstrator])
     solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.random_start_steps))
     return [_trajectory(job, demonstrator, int(i)) for i in solved]
@@ -210,29 +210,22 @@ class Demonstrator(Observer):
 
     Args:
         domain: Who acts, and where.
-        tasks: Task of each episode.
-        seeds: Seed of each episode, also of its noise.
         noise: Standard deviation of noise on the executed action.
         random_start_steps: Control steps before the expert takes over, in which each episode repeats a random action.
     """
 
-    def __init__(
-        self, domain: Domain, tasks: list[str], seeds: list[int], noise: float, random_start_steps: int = 0
-    ) -> None:
+    def __init__(self, domain: Domain, noise: float, random_start_steps: int = 0) -> None:
         assert domain.expert is not None
-        self.expert, self.noise, self.random_start_steps = domain.expert, noise, random_start_steps
-        self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
-        self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
-
-    @cached_property
-    def drifts(self) -> np.ndarray:
-        """``(E, A)``: the random action of each episode before the expert takes over."""
-        size = self.simulator.spec("").action_size
-        drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in self.seeds]
-        return np.array(drifts, dtype=np.float32)
+        self.simulator, self.expert = domain.simulator, domain.expert
+        self.noise, self.random_start_steps = noise, random_start_steps
 
     def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
-        """Forget everything but how the episodes begin."""
+        """Forget everything but how the episodes begin; seeds are also those of noise and random actions."""
+        self.expert.begin(self.simulator, tasks, seeds)
+        size = self.simulator.spec("").action_size
+        drifts = [np.random.default_rng([seed, 2]).uniform(-1, 1, size) for seed in seeds]
+        self.seeds, self.drifts = seeds, np.array(drifts, dtype=np.float32)
+        self.generators = [np.random.default_rng([seed, 1]) for seed in seeds]
         self.drifting = self.random_start_steps
         self.seen = [(np.arange(len(tasks)), observation)]
         self.wanted: list[tuple[np.ndarray, np.ndarray]] = []
@@ -242,8 +235,6 @@ class Demonstrator(Observer):
         if self.drifting > 0:
             drifting: np.ndarray = self.drifts[episodes]
             return drifting
-        if not self.wanted:
-            self.expert.begin(self.simulator, self.tasks, self.seeds)
         actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
         self.wanted.append((episodes, actions))
         if self.noise == 0:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plp_lightning.envs.engine import Engine
-from plp_lightning.envs.maze.physics import hold, maze_engine
+from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.walker_model import Box, walker_mjcf
 from plp_lightning.envs.native import DIVERGED, Desk
 
@@ -17,17 +17,17 @@ WALL = Box(1.2, 0.0, 0.5, 0.5)
 SUBSTEPS = 5
 
 
-def engine(legs: int = 4, threads: int = 0) -> Engine[Desk]:
-    return maze_engine(walker_mjcf(legs, [WALL]), threads)
+def engine(legs: int = 4, threads: int = 0) -> MazePhysics:
+    return MazePhysics(walker_mjcf(legs, [WALL]), threads)
 
 
-def roll(engine: Engine[Desk], controls: np.ndarray) -> np.ndarray:
+def roll(walkers: MazePhysics, controls: np.ndarray) -> np.ndarray:
     """All states ``(T, n, S)`` under ``controls (T, n, U)``."""
-    engine.begin(controls.shape[1])
+    walkers.begin(controls.shape[1])
     seen = []
     for control in controls:
-        assert hold(engine, np.arange(controls.shape[1]), control, SUBSTEPS).all()
-        seen.append(engine.states.copy())
+        assert walkers.hold(np.arange(controls.shape[1]), control, SUBSTEPS).all()
+        seen.append(walkers.states.copy())
     return np.stack(seen)
 
 
@@ -60,22 +60,22 @@ def test_some_rows_in_any_order_and_none_at_all() -> None:
     together, apart = engine(), engine()
     for walkers in (together, apart):
         walkers.begin(5)
-    hold(together, np.arange(5), controls, SUBSTEPS)
+    together.hold(np.arange(5), controls, SUBSTEPS)
     for rows in ([4, 1], [], [0], [3, 2]):
-        assert hold(apart, np.array(rows, dtype=int), controls[rows], SUBSTEPS).tolist() == [True] * len(rows)
+        assert apart.hold(np.array(rows, dtype=int), controls[rows], SUBSTEPS).tolist() == [True] * len(rows)
     np.testing.assert_array_equal(apart.states, together.states)
 
 
 def test_spoilt_rows_stay_where_they_were_and_harm_nobody() -> None:
     walkers, rows, controls = engine(), np.arange(3), np.zeros((3, 8))
     walkers.begin(3)
-    hold(walkers, rows, controls, SUBSTEPS)
+    walkers.hold(rows, controls, SUBSTEPS)
     clean = walkers.states.copy()
     walkers.begin(3)
     controls[1, 2] = np.nan
     walkers.states[2, walkers.qvel] = 10 * DIVERGED
     before = walkers.states.copy()
-    assert hold(walkers, rows, controls, SUBSTEPS).tolist() == [True, False, False]
+    assert walkers.hold(rows, controls, SUBSTEPS).tolist() == [True, False, False]
     np.testing.assert_array_equal(walkers.states[1:], before[1:])
     np.testing.assert_array_equal(walkers.states[0], clean[0])
 
@@ -85,7 +85,7 @@ def test_a_row_that_diverges_within_a_step_keeps_its_last_valid_state() -> None:
     walkers.begin(2)
     walkers.states[1, walkers.qvel] = 0.9 * DIVERGED
     before = walkers.states.copy()
-    assert hold(walkers, np.arange(2), np.zeros((2, 8)), SUBSTEPS).tolist() == [True, False]
+    assert walkers.hold(np.arange(2), np.zeros((2, 8)), SUBSTEPS).tolist() == [True, False]
     np.testing.assert_array_equal(walkers.states[1], before[1])
     assert not np.array_equal(walkers.states[0], before[0])
 
@@ -96,7 +96,7 @@ def test_columns_are_where_mujoco_puts_them() -> None:
     data = mujoco.MjData(walkers.model)
     np.testing.assert_array_equal(walkers.states[0, walkers.qpos], data.qpos)
     controls = np.linspace(-1, 1, 8)[None]
-    hold(walkers, np.array([0]), controls, SUBSTEPS)
+    walkers.hold(np.array([0]), controls, SUBSTEPS)
     np.testing.assert_array_equal(walkers.states[:, walkers.columns(mujoco.mjtState.mjSTATE_CTRL)], controls)
 
 

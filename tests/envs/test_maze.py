@@ -117,8 +117,8 @@ def test_starts_lie_in_the_zone_and_off_the_goal(kind, frame):
 
 def place(maze: Maze, cell: tuple[float, float]) -> None:
     """Put episode 0 somewhere, at rest."""
-    assert maze._engine is not None
-    maze._engine.states[0, maze._engine.qpos][:2] = maze.frame.centres(np.array(cell))
+    assert maze._physics is not None
+    maze._physics.states[0, maze._physics.qpos][:2] = maze.frame.centres(np.array(cell))
 
 
 def test_success_is_half_a_cell_around_the_goal():

@@ -241,7 +241,7 @@ def test_without_noise_the_recorded_actions_lead_through_the_recorded_states() -
 def test_demonstrators_keep_what_is_seen_after_the_last_action(random_start_steps: int) -> None:
     domain = Domain(LinearPoint(1, 3), LinearPointExpert())
     tasks, seeds = ["goal_1", "goal_4", "goal_6"], [5, 6, 7]
-    demonstrator = collection.Demonstrator(domain, tasks, seeds, 0.0, random_start_steps)
+    demonstrator = collection.Demonstrator(domain, 0.0, random_start_steps)
     outcome = rollout(domain.simulator, demonstrator.act, tasks, seeds, observers=[demonstrator])
     for index, (task, seed) in enumerate(zip(tasks, seeds, strict=True)):
         observation, actions = demonstrator.episode(index)

@@ -10,7 +10,7 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv
 
 from plp_lightning.envs.experts.gait import Symmetry
-from plp_lightning.envs.maze.physics import hold, maze_engine
+from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.walker_model import walker_mjcf
 
 SUBSTEPS = 5
@@ -42,14 +42,14 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
     render_mode: str | None = None
 
     def __init__(self, legs: int, walkers: int, seed: int) -> None:
-        self._engine = maze_engine(walker_mjcf(legs), threads=1)
-        model = self._engine.model
+        self._physics = MazePhysics(walker_mjcf(legs), threads=1)
+        model = self._physics.model
         self._dt = SUBSTEPS * model.opt.timestep
         self._joints = model.nu
         self._symmetry = Symmetry(legs)
         self._rng = np.random.default_rng(seed)
-        self._engine.begin(walkers)
-        self._rest = self._engine.states[0].copy()
+        self._physics.begin(walkers)
+        self._rest = self._physics.states[0].copy()
         self._directions = np.zeros((walkers, 2))
         self._age = np.zeros(walkers, dtype=int)
         self._torques = np.zeros((walkers, model.nu))
@@ -58,7 +58,7 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
 
     def integrate(self, integrator: mujoco.mjtIntegrator) -> None:
         """Change the integrator from the next step on."""
-        self._engine.model.opt.integrator = integrator
+        self._physics.model.opt.integrator = integrator
 
     def reset(self) -> np.ndarray:
         """Begin all episodes; returns features ``(n, F)``."""
@@ -72,7 +72,7 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Walk one control step; walkers that fell or ran out of time begin again."""
         before = self._qpos[:, :2].copy()
-        valid = hold(self._engine, np.arange(self.num_envs), self._next_torques, SUBSTEPS)
+        valid = self._physics.hold(np.arange(self.num_envs), self._next_torques, SUBSTEPS)
         rewards = self._rewards((self._qpos[:, :2] - before) / self._dt)
         self._torques = self._next_torques
         self._age += 1
@@ -88,21 +88,16 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
 
     @property
     def _qpos(self) -> np.ndarray:
-        return self._engine.states[:, self._engine.qpos]
-
-    @property
-    def _qvel(self) -> np.ndarray:
-        return self._engine.states[:, self._engine.qvel]
+        return self._physics.states[:, self._physics.qpos]
 
     def _features(self) -> np.ndarray:
-        physical = np.concatenate([self._qpos, self._qvel], axis=1)
-        return self._symmetry.turn(physical, self._directions)
+        return self._symmetry.turn(self._physics.states[:, self._physics.physical], self._directions)
 
     def _rewards(self, velocity: np.ndarray) -> np.ndarray:
         along = (velocity * self._directions).sum(axis=1)
         across = np.abs(velocity[:, 0] * self._directions[:, 1] - velocity[:, 1] * self._directions[:, 0])
         turned = 1 - self._qpos[:, 3] ** 2
-        spin = (self._qvel[:, 3:6] ** 2).sum(axis=1)
+        spin = (self._physics.states[:, self._physics.qvel][:, 3:6] ** 2).sum(axis=1)
         effort = (self._next_torques**2).mean(axis=1)
         jerk = ((self._next_torques - self._torques) ** 2).mean(axis=1)
         # The bonus for being on one's feet keeps rewards positive: otherwise to fall at once would pay.
@@ -118,9 +113,9 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
     def _begin(self, rows: np.ndarray) -> None:
         if len(rows) == 0:
             return
-        self._engine.states[rows] = self._rest
-        joints = slice(self._engine.qpos.start + 7, self._engine.qpos.stop)
-        self._engine.states[rows, joints] += self._rng.uniform(-0.1, 0.1, (len(rows), self._joints))
+        self._physics.states[rows] = self._rest
+        joints = slice(self._physics.qpos.start + 7, self._physics.qpos.stop)
+        self._physics.states[rows, joints] += self._rng.uniform(-0.1, 0.1, (len(rows), self._joints))
         self._age[rows] = 0
         self._torques[rows] = 0
         self._disturb(rows)
@@ -133,8 +128,8 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
         self._directions[rows] = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         ordinary, hard = PUSHES
         strength = np.where(self._rng.random((len(rows), 1)) < HARD, hard, ordinary)
-        first = self._engine.qvel.start
-        self._engine.states[rows, first : first + 6] += strength * self._rng.normal(0, 1, (len(rows), 6))
+        first = self._physics.qvel.start
+        self._physics.states[rows, first : first + 6] += strength * self._rng.normal(0, 1, (len(rows), 6))
 
     def close(self) -> None:
         """Nothing to close."""

@@ -17,8 +17,7 @@ from plp_lightning.envs.tasks import Tasks
 from plp_lightning.envs.views import FloorPlan
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.engine import Engine
-    from plp_lightning.envs.native import Desk
+    from plp_lightning.envs.maze.physics import MazePhysics
 
 LayoutName = Literal["umaze", "medium"]
 FrameName = Literal["d4rl", "gymnasium"]
@@ -66,7 +65,7 @@ class Maze(Simulator):
         self._radius = radius * self.scale
         self._jitter = jitter
         self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
-        self._engine: Engine[Desk] | None = None
+        self._physics: MazePhysics | None = None
 
     @property
     def tasks(self) -> Tasks:
@@ -84,18 +83,18 @@ class Maze(Simulator):
             ConfigError: If this maze has no such task.
         """
         chosen = [self.layout.task(name) for name in tasks]
-        if self._engine is None:
-            self._engine = self._build()
+        if self._physics is None:
+            self._physics = self._build()
         starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
         self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
         for pending, task in zip(self._pending, chosen, strict=True):
             for cell in self.layout.via(task):
                 pending[cell] = True
-        everyone = np.arange(len(chosen))
-        self._engine.begin(len(chosen))
-        self._engine.states[:, self._engine.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
-        self._hold(everyone, np.zeros((len(chosen), self._action_size)), substeps=0, forward=True)
+        everyone, physics = np.arange(len(chosen)), self._physics
+        physics.begin(len(chosen))
+        physics.states[:, physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
+        physics.hold(everyone, np.zeros((len(chosen), self._action_size)), substeps=0, forward=True)
         self._visit(everyone)
         return self._observe(everyone)
 
@@ -103,7 +102,7 @@ class Maze(Simulator):
         """Apply ``actions (n, A)``; an episode whose physics diverged is invalid and keeps its last valid state."""
         controls = self.actions_in_maze(np.clip(actions.astype(np.float64), -1, 1))
         self._before_step(episodes)
-        valid = self._hold(episodes, controls, self.frame_skip, self._forward)
+        valid = self._running.hold(episodes, controls, self.frame_skip, self._forward)
         self._visit(episodes)
         return Step(self._observe(episodes), valid & self._succeeded(episodes), ~valid)
 
@@ -155,22 +154,16 @@ class Maze(Simulator):
         """D4RL's frame for this body."""
 
     @property
-    def _running(self) -> Engine[Desk]:
-        assert self._engine is not None, "reset comes before step"
-        return self._engine
+    def _running(self) -> MazePhysics:
+        assert self._physics is not None, "reset comes before step"
+        return self._physics
 
-    def _build(self) -> Engine[Desk]:
-        # MuJoCo and numba take half a second, which listing tasks need not pay.
-        from plp_lightning.envs.maze.physics import maze_engine
+    def _build(self) -> MazePhysics:
+        from plp_lightning.envs.maze.physics import MazePhysics  # half a second that listing tasks need not pay
 
         centres = self.frame.centres(np.array(self.layout.walls)).tolist()
         walls = [Box(x, y, self.scale / 2, self._wall_height / 2) for x, y in centres]
-        return maze_engine(self._mjcf(walls), self.threads)
-
-    def _hold(self, rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool) -> np.ndarray:
-        from plp_lightning.envs.maze.physics import hold
-
-        return hold(self._running, rows, controls, substeps, forward)
+        return MazePhysics(self._mjcf(walls), self.threads)
 
     def _start(self, cells: Sequence[tuple[int, int]], seed: int) -> np.ndarray:
         rng = np.random.default_rng(seed)
@@ -181,9 +174,8 @@ class Maze(Simulator):
         """Change the physical states of ``rows (n,)`` before a control step."""
 
     def _observe(self, rows: np.ndarray) -> Observation[np.ndarray]:
-        engine = self._running
-        observed = np.concatenate([engine.states[rows, engine.qpos], engine.states[rows, engine.qvel]], axis=1)
-        return Observation(self.states_of_domain(observed).astype(np.float32))
+        physical = self._running.states[rows, self._running.physical]
+        return Observation(self.states_of_domain(physical).astype(np.float32))
 
     def _positions(self, rows: np.ndarray) -> np.ndarray:
         positions: np.ndarray = self._running.states[rows, self._running.qpos][:, :2]

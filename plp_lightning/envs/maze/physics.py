@@ -12,32 +12,36 @@ LEAST = 8
 """Episodes that a thread takes at a time: a step of one point is shorter than the way into compiled code."""
 
 
-def maze_engine(mjcf: str, threads: int = 0) -> Engine[Desk]:
-    """The engine of the model that is described as ``mjcf``."""
-    return Engine(mujoco.MjModel.from_xml_string(mjcf), Desk.of, threads, LEAST)
-
-
-def hold(
-    engine: Engine[Desk], rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool = False
-) -> np.ndarray:
-    """Apply ``controls (n, U)`` to ``rows (n,)`` for one control step.
+class MazePhysics(Engine[Desk]):
+    """Steps a body whose controls are held.
 
     Args:
-        engine: The states, changed in place.
-        rows: Which.
-        controls: What is held.
-        substeps: Physics steps of the control step; with none, time stands still.
-        forward: Compute forces with ``mj_forward`` first, as environments do that set the state there; it gives the
-            solver another warm start.
-
-    Returns:
-        Which rows are valid, ``(n,)`` bool, see :meth:`Engine.step`.
+        mjcf: The model.
+        threads: Threads that step it; 0 means one for each core.
     """
 
-    def advance(desk: Desk, rows: np.ndarray, controls: np.ndarray, valid: np.ndarray) -> None:
-        _hold(desk, engine.states, rows, controls, valid, substeps, forward)
+    def __init__(self, mjcf: str, threads: int = 0) -> None:
+        super().__init__(mujoco.MjModel.from_xml_string(mjcf), Desk.of, threads, LEAST)
+        self.physical = slice(self.qpos.start, self.qvel.stop)
 
-    return engine.step(rows, controls, advance)
+    def hold(self, rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool = False) -> np.ndarray:
+        """Apply ``controls (n, U)`` to ``rows (n,)`` for one control step.
+
+        Args:
+            rows: Rows of the states, which change in place.
+            controls: Controls that are held.
+            substeps: Physics steps of the control step; with none, time stands still.
+            forward: Compute forces with ``mj_forward`` first, as environments do that set the state there; it gives
+                the solver another warm start.
+
+        Returns:
+            Mask ``(n,)`` of the rows that are valid, see :meth:`Engine.step`.
+        """
+
+        def advance(desk: Desk, rows: np.ndarray, controls: np.ndarray, valid: np.ndarray) -> None:
+            _hold(desk, self.states, rows, controls, valid, substeps, forward)
+
+        return self.step(rows, controls, advance)
 
 
 @entry

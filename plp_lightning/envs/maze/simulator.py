@@ -103,8 +103,8 @@ class PointMaze(Maze):
         return Frame((-0.2, -0.2), (1.0, 0.0), (0.0, 1.0))
 
     def _before_step(self, rows: np.ndarray) -> None:
-        engine = self._running
-        engine.states[rows, engine.qvel] = np.clip(engine.states[rows, engine.qvel], -5.0, 5.0)
+        states, qvel = self._running.states, self._running.qvel
+        states[rows, qvel] = np.clip(states[rows, qvel], -5.0, 5.0)
 
     def _mjcf(self, walls: Sequence[Box]) -> str:
         # The dynamics of gymnasium_robotics/envs/assets/point/point.xml, to the last bit.

@@ -9,7 +9,7 @@ from safetensors.numpy import save_file
 from datamodules.errors import CheckpointError, ConfigError
 from plp_lightning.envs.experts.gait import Gait, Symmetry, gait_path, provenance
 from plp_lightning.envs.experts.walker import WalkerExpert
-from plp_lightning.envs.maze.physics import hold, maze_engine
+from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.maze.walker_model import walker_mjcf
 
@@ -21,16 +21,15 @@ def heading(angle: float) -> np.ndarray:
 @pytest.mark.parametrize("legs", [4, 6])
 def test_turned_body_moves_as_the_body_does(legs):
     """Walking in direction 0.1 and in a direction k n-ths of a turn further are one motion, turned."""
-    engine = maze_engine(walker_mjcf(legs), threads=1)
+    walker = MazePhysics(walker_mjcf(legs), threads=1)
     symmetry = Symmetry(legs)
     directions = np.concatenate([heading(0.1 + 2 * np.pi * k / legs) for k in range(legs)])
-    engine.begin(legs)
+    walker.begin(legs)
     rng = np.random.default_rng(0)
     for _ in range(20):
         action = np.repeat(rng.uniform(-1, 1, (1, 2 * legs)), legs, axis=0)
-        hold(engine, np.arange(legs), symmetry.torques(action, symmetry.turns(directions)), substeps=5)
-        physical = np.concatenate([engine.states[:, engine.qpos], engine.states[:, engine.qvel]], axis=1)
-        seen = symmetry.turn(physical, directions)
+        walker.hold(np.arange(legs), symmetry.torques(action, symmetry.turns(directions)), substeps=5)
+        seen = symmetry.turn(walker.states[:, walker.physical], directions)
         np.testing.assert_allclose(seen, np.repeat(seen[:1], legs, axis=0), atol=1e-6)
     assert np.abs(seen[0, 5:]).max() > 0.1, "it moved"
 
