@@ -45,7 +45,6 @@ def stepping(robot: Robot, steps: int) -> dict[str, float]:
     env = robosuite_env(robot, joint_noise=0.05)
     env.reset()
     physics = next(iter(lifts.values()))._physics
-    assert physics is not None
     models = {BARE: physics.lift.model, f"{BARE}, with visuals": env.sim.model._model}
     scratch = {name: mujoco.MjData(model) for name, model in models.items()}
     rng, seconds, counts = np.random.default_rng(0), dict[str, float](), dict[str, int]()
@@ -60,7 +59,7 @@ def stepping(robot: Robot, steps: int) -> dict[str, float]:
         if turn == 0:  # the rounds before compile and fill caches
             seconds.clear()
             counts.clear()
-        actions, states = rng.uniform(-1, 1, (len(rows), 4)), physics.engine.states.copy()
+        actions, states = rng.uniform(-1, 1, (len(rows), 4)), physics.states.copy()
         for name, model in models.items():
             measure(name, len(rows), partial(bare_steps, model, scratch[name], states))
         for name, lift in lifts.items():

@@ -37,7 +37,7 @@ def timed(call: Callable[[], object]) -> np.ndarray:
 
 def bare(maze: Maze, data: mujoco.MjData, states: np.ndarray, actions: np.ndarray) -> None:
     """One control step of every state with MuJoCo's Python bindings and nothing else."""
-    model = maze._running.model
+    model = maze._physics.model
     for state, action in zip(states, actions, strict=True):
         mujoco.mj_setState(model, data, state, STATE)
         data.ctrl[:] = action
@@ -50,12 +50,12 @@ def measure(name: str, episodes: int) -> str:
     maze, env = build(), gymnasium_env(env_id)
     rows = np.arange(episodes)
     maze.reset([maze.tasks.names[i % len(maze.tasks.names)] for i in rows], rows.tolist())
-    data = mujoco.MjData(maze._running.model)
+    data = mujoco.MjData(maze._physics.model)
     rng = np.random.default_rng(0)
     ours, shared, slow, gymnasium = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     for t in range(-2, steps):
         actions = rng.uniform(-1, 1, (episodes, maze.spec(name).action_size)).astype(np.float32)
-        states = maze._running.states.copy()
+        states = maze._physics.states.copy()
         seconds = timed(partial(maze.step, actions, rows))
         if t < 0:  # the first steps compile
             continue

@@ -65,7 +65,7 @@ def measure(name: str, episodes: int, steps: int) -> str:
     """A line of the table for one body."""
     maze, rows = BODIES[name](), np.arange(episodes)
     maze.reset([maze.tasks.names[i % 100 % len(maze.tasks.names)] for i in rows], rows.tolist())
-    engine = maze._running
+    engine = maze._physics
     physical = slice(0, engine.qvel.stop)  # time, positions and velocities
     warm = engine.columns(mujoco.mjtState.mjSTATE_WARMSTART)
     native = Native(engine.model, engine.states[:, physical], engine.states[:, warm], maze.frame_skip)

@@ -8,6 +8,7 @@ nothing but the row and its actions. A family gives the model and a function tha
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
@@ -19,7 +20,7 @@ from plp_lightning.envs.native import STATE
 from plp_lightning.envs.threads import available_cores
 
 R = TypeVar("R")
-Advance = Callable[[R, np.ndarray, np.ndarray, np.ndarray], object]
+Change = Callable[[R, np.ndarray, np.ndarray, np.ndarray], object]
 """Takes a thread's room, rows ``(m,)``, their actions ``(m, A)`` and ``valid (m,)``; advances the valid rows between
 :func:`~plp_lightning.envs.native.load` and :func:`~plp_lightning.envs.native.save`, and marks those that diverge."""
 
@@ -35,12 +36,11 @@ class _Own(threading.local):
 _own = _Own()
 
 
-class Engine(Generic[R]):
+class Engine(ABC, Generic[R]):
     """The states of E episodes, and the threads that advance them.
 
     Args:
         model: What is simulated; its automatic reset is switched off, since a diverged episode must be seen.
-        room: Makes of the model and a thread's MjData what the thread works with.
         threads: How many; 0 means one for each core.
         least: Rows that a thread takes at a time at least, where the way to them costs more than one takes.
     """
@@ -48,18 +48,15 @@ class Engine(Generic[R]):
     states: np.ndarray
     """``(E, S)`` float64."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        room: Callable[[mujoco.MjModel, mujoco.MjData], R],
-        threads: int = 0,
-        least: int = 1,
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, threads: int = 0, least: int = 1) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.model, self.threads, self.least = model, threads or available_cores(), least
         self.qpos, self.qvel = self.columns(mujoco.mjtState.mjSTATE_QPOS), self.columns(mujoco.mjtState.mjSTATE_QVEL)
-        self._room = room
         self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="physics")
+
+    @abstractmethod
+    def room(self, data: mujoco.MjData) -> R:
+        """Make of a thread's MjData what the thread works with."""
 
     def columns(self, part: mujoco.mjtState) -> slice:
         """Columns of the states that hold one part of it, such as ``mjtState.mjSTATE_MOCAP_POS``."""
@@ -72,7 +69,7 @@ class Engine(Generic[R]):
         mujoco.mj_getState(self.model, mujoco.MjData(self.model), row, STATE)
         self.states = np.tile(row, (episodes, 1))
 
-    def step(self, rows: np.ndarray, actions: np.ndarray, advance: Advance[R]) -> np.ndarray:
+    def advance(self, rows: np.ndarray, actions: np.ndarray, change: Change[R]) -> np.ndarray:
         """Advance ``rows (n,)`` by ``actions (n, A)``, shared out among the threads.
 
         Returns:
@@ -81,7 +78,7 @@ class Engine(Generic[R]):
         """
         rows, actions = np.ascontiguousarray(rows, np.int64), np.ascontiguousarray(actions, np.float64)
         valid: np.ndarray = np.isfinite(actions).all(axis=1)
-        self.share(len(rows), lambda room, part: advance(room, rows[part], actions[part], valid[part]))
+        self.share(len(rows), lambda room, part: change(room, rows[part], actions[part], valid[part]))
         return valid
 
     def share(self, count: int, work: Callable[[R, slice], object]) -> None:
@@ -108,6 +105,6 @@ class Engine(Generic[R]):
     def _enter(self) -> R:
         if _own.data is None:
             data = mujoco.MjData(self.model)
-            _own.room, _own.data = self._room(self.model, data), data
+            _own.room, _own.data = self.room(data), data
         room: R = _own.room
         return room

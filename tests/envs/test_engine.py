@@ -104,12 +104,16 @@ def test_threads_work_at_once_each_in_a_room_of_its_own() -> None:
     meeting = threading.Barrier(3, timeout=30)
     rooms: list[int] = []
 
+    class Bare(Engine[mujoco.MjData]):
+        def room(self, data: mujoco.MjData) -> mujoco.MjData:
+            return data
+
     def work(room: mujoco.MjData, part: slice) -> None:
         meeting.wait()  # it lets nobody pass unless three are here
         rooms.append(id(room))
 
     model = mujoco.MjModel.from_xml_string(walker_mjcf(4))
-    shared: Engine[mujoco.MjData] = Engine(model, lambda model, data: data, threads=3)
+    shared = Bare(model, threads=3)
     shared.share(3, work)
     assert len({*rooms}) == 3
     shared.share(3, work)

@@ -118,7 +118,6 @@ def robosuite_twin(lift: Lift) -> Any:
     from plp_lightning.envs.lift.osc import DOWN
     from plp_lightning.envs.native import STATE
 
-    assert lift._physics is not None
     episodes, env = lift._physics.episodes, robosuite_env(lift.robot)
     env.reset()
     put = partial(mujoco.mj_setState, env.sim.model._model, env.sim.data._data, episodes.state[0], STATE)
@@ -215,8 +214,7 @@ def test_only_the_bad_episode_becomes_invalid(robot: Robot, tmp_path: Path, monk
     lift, rows = simulator(robot, threads=2), np.arange(6)
     good = run(lift, EPISODES, np.zeros((2, 6, 4)))
     first = begin(lift, EPISODES)
-    assert lift._physics is not None
-    engine = lift._physics.engine
+    engine = lift._physics
     engine.states[3, engine.qvel], engine.states[5, engine.qvel] = 5e3, np.nan
     actions = np.zeros((6, 4))
     actions[1, 0], actions[4, 3] = np.nan, -np.inf
@@ -242,7 +240,6 @@ def test_blocks_rest_where_their_tasks_say_and_are_not_yet_lifted(robot: Robot) 
     lift.reset(TASKS.names, [0] * 27)
     for _ in range(3):
         step = lift.step(np.zeros((27, 4)), np.arange(27))
-    assert lift._physics is not None
     heights = [block_place(task)[2] for task in TASKS.names]
     np.testing.assert_allclose(lift._physics.episodes.block_z, heights, atol=5e-4)
     assert not step.success.any()

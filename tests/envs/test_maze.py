@@ -117,7 +117,6 @@ def test_starts_lie_in_the_zone_and_off_the_goal(kind, frame):
 
 def place(maze: Maze, cell: tuple[float, float]) -> None:
     """Put episode 0 somewhere, at rest."""
-    assert maze._physics is not None
     maze._physics.states[0, maze._physics.qpos][:2] = maze.frame.centres(np.array(cell))
 
 

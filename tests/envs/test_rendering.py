@@ -112,10 +112,9 @@ def test_pictures_are_the_right_way_up() -> None:
 
 def full_data(window: Window, episode: int, shipped: mujoco.MjModel) -> mujoco.MjData:
     """The shipped scene in the state of an episode that was just reset."""
-    assert window._physics is not None
     scene, data = window._physics.scene, mujoco.MjData(shipped)
     ours = mujoco.MjData(scene.model)
-    mujoco.mj_setState(scene.model, ours, window._physics.engine.states[episode], STATE)
+    mujoco.mj_setState(scene.model, ours, window._physics.states[episode], STATE)
     shipped.body("window").pos = ours.mocap_pos[scene.furniture[0]]
     data.qpos = ours.qpos
     mujoco.mj_forward(shipped, data)

@@ -132,7 +132,6 @@ def test_nothing_is_drawn_that_marks_the_goal() -> None:
     reach().reset(["red"], [0])
     window().reset(["open"], [0])
     for simulator in (reach(), window()):
-        assert simulator._physics is not None
         model = simulator._physics.scene.model
         assert (model.site_group > 2).all()  # a scene shows groups 0 to 2
         assert model.ntendon == 0
@@ -229,8 +228,7 @@ def test_only_the_bad_episode_becomes_invalid() -> None:
     simulator, rows = reach(2), np.arange(5)
     good, pictures = run(simulator, EPISODES, np.zeros((2, 5, 4)))
     simulator.reset([task for task, _ in EPISODES], [seed for _, seed in EPISODES])
-    assert simulator._physics is not None
-    engine = simulator._physics.engine
+    engine = simulator._physics
     engine.states[3, engine.qvel.start] = np.nan
     actions = np.zeros((5, 4))
     actions[1, 3] = np.inf
@@ -251,8 +249,7 @@ def test_letting_a_simulator_go_leaves_other_pictures_alone() -> None:
     assert before is not None
     second = Reach("rear", image_size=32, threads=2)
     np.testing.assert_array_equal(second.reset(["red", "green"], [0, 1]).image, before)
-    assert second._physics is not None
-    threads = list(second._physics.engine._pool._threads)
+    threads = list(second._physics._pool._threads)
     del second
     gc.collect()
     for thread in threads:

@@ -41,7 +41,6 @@ def metaworld_env(simulator: Tabletop, task: str, row: int) -> Any:
         from metaworld.envs.sawyer_reach_v3 import SawyerReachEnvV3
         from metaworld.envs.sawyer_window_close_v3 import SawyerWindowCloseEnvV3
         from metaworld.envs.sawyer_window_open_v3 import SawyerWindowOpenEnvV3
-    assert simulator._physics is not None
     scene = simulator._physics.scene
     state = start_of(simulator, row)
     if isinstance(simulator, Reach):
@@ -60,10 +59,9 @@ def metaworld_env(simulator: Tabletop, task: str, row: int) -> Any:
 
 
 def start_of(simulator: Tabletop, row: int) -> mujoco.MjData:
-    assert simulator._physics is not None
     model = simulator._physics.scene.model
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, simulator._physics.engine.states[row], STATE)
+    mujoco.mj_setState(model, data, simulator._physics.states[row], STATE)
     return data
 
 

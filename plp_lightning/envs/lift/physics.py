@@ -15,7 +15,7 @@ LIFTED = 0.04
 """Rise of the block above its rest that counts as success, m."""
 
 
-class LiftPhysics:
+class LiftPhysics(Engine[Workspace]):
     """The episodes of one robot.
 
     Args:
@@ -26,15 +26,19 @@ class LiftPhysics:
     episodes: Episodes
 
     def __init__(self, robot: Robot, threads: int) -> None:
-        self.lift: LiftModel = LiftModel.build(robot)
-        self.engine = Engine(self.lift.model, Workspace.of, threads)
+        self.lift = LiftModel.build(robot)
+        super().__init__(self.lift.model, threads)
+
+    def room(self, data: mujoco.MjData) -> Workspace:
+        """A desk, and room for the controller."""
+        return Workspace.of(self.model, data)
 
     def reset(self, blocks: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Begin an episode for each row of ``blocks (E, 3)`` and ``noise (E, n)``; observations ``(E, O)``."""
-        arm, count, engine = self.lift.arm, len(blocks), self.engine
-        engine.begin(count)
+        arm, count = self.lift.arm, len(blocks)
+        self.begin(count)
         rest, size = self.lift.rest_pose + noise, 3 * len(arm.qpos) + 7 + 2 * len(arm.finger_qpos)
-        qpos, mocap = engine.states[:, engine.qpos], engine.states[:, engine.columns(mujoco.mjtState.mjSTATE_MOCAP_POS)]
+        qpos, mocap = self.states[:, self.qpos], self.states[:, self.columns(mujoco.mjtState.mjSTATE_MOCAP_POS)]
         qpos[:, arm.qpos], qpos[:, arm.finger_qpos] = rest, self.lift.open_fingers
         # The block starts a millimetre above its pedestal and settles in the first control step.
         qpos[:, arm.block : arm.block + 7] = [0.0, 0.0, 1e-3, 1.0, 0.0, 0.0, 0.0]
@@ -44,15 +48,15 @@ class LiftPhysics:
         mocap[:, first + 2] -= BLOCK_HALF
         mocap[:, first + 2] -= PEDESTAL_HALF[2]
         observed = np.zeros((count, size), dtype=np.float32)
-        self.episodes = Episodes(engine.states, np.zeros(count), rest, observed, blocks[:, 2].copy())
+        self.episodes = Episodes(self.states, np.zeros(count), rest, observed, blocks[:, 2].copy())
         self.rest_z = blocks[:, 2]
-        engine.share(count, lambda work, part: begin_episodes(arm, work, self.episodes, part.start, part.stop))
+        self.share(count, lambda work, part: begin_episodes(arm, work, self.episodes, part.start, part.stop))
         return observed.copy()
 
     def step(self, actions: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """One control step of ``rows (n,)``; which are valid, ``(n,)`` bool."""
+        """Advance ``rows (n,)`` by one control step; a mask ``(n,)`` of those that are valid."""
         arm, episodes = self.lift.arm, self.episodes
-        return self.engine.step(rows, actions, lambda work, *part: step_episodes(arm, work, episodes, *part))
+        return self.advance(rows, actions, lambda work, *part: step_episodes(arm, work, episodes, *part))
 
     def lifted(self, rows: np.ndarray) -> np.ndarray:
         """Mask ``(n,)`` of the ``rows (n,)`` whose blocks are up."""

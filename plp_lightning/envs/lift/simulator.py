@@ -8,6 +8,7 @@ the Python between the steps is gone (see :mod:`plp_lightning.envs.lift.osc`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, get_args
 from zlib import crc32
 
@@ -51,7 +52,6 @@ class Lift(Simulator):
         if horizon < 1 or threads < 0:
             raise ConfigError(f"horizon is {horizon}, threads is {threads}; expected at least 1 and at least 0")
         self.robot, self.joint_noise, self.horizon, self.threads = robot, joint_noise, horizon, threads
-        self._physics: LiftPhysics | None = None
 
     def spec(self, name: str) -> DomainSpec:
         """32 numbers of state for Sawyer, 37 for UR5e, named and ordered as robosuite's ``robot0_<key>``."""
@@ -84,18 +84,19 @@ class Lift(Simulator):
         blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
         joints = JOINTS[self.robot][0]
         noise = np.array([self._noise(task, seed, joints) for task, seed in zip(tasks, seeds, strict=True)])
-        if self._physics is None:
-            from plp_lightning.envs.lift.physics import LiftPhysics
-
-            self._physics = LiftPhysics(self.robot, self.threads)
         return Observation(self._physics.reset(blocks, noise.reshape(-1, joints)))
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
         physics = self._physics
-        assert physics is not None, "reset comes before step"
         valid = physics.step(actions, episodes)
         return Step(Observation(physics.episodes.observation[episodes]), physics.lifted(episodes) & valid, ~valid)
+
+    @cached_property
+    def _physics(self) -> LiftPhysics:
+        from plp_lightning.envs.lift.physics import LiftPhysics
+
+        return LiftPhysics(self.robot, self.threads)
 
     def _noise(self, task: str, seed: int, joints: int) -> np.ndarray:
         # Robot and task join the seed, so that equal seeds do not align the domains' initial poses.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -65,7 +66,6 @@ class Maze(Simulator):
         self._radius = radius * self.scale
         self._jitter = jitter
         self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
-        self._physics: MazePhysics | None = None
 
     @property
     def tasks(self) -> Tasks:
@@ -83,8 +83,6 @@ class Maze(Simulator):
             ConfigError: If this maze has no such task.
         """
         chosen = [self.layout.task(name) for name in tasks]
-        if self._physics is None:
-            self._physics = self._build()
         starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
         self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
@@ -102,7 +100,7 @@ class Maze(Simulator):
         """Apply ``actions (n, A)``; an episode whose physics diverged is invalid and keeps its last valid state."""
         controls = self.actions_in_maze(np.clip(actions.astype(np.float64), -1, 1))
         self._before_step(episodes)
-        valid = self._running.hold(episodes, controls, self.frame_skip, self._forward)
+        valid = self._physics.hold(episodes, controls, self.frame_skip, self._forward)
         self._visit(episodes)
         return Step(self._observe(episodes), valid & self._succeeded(episodes), ~valid)
 
@@ -153,12 +151,8 @@ class Maze(Simulator):
     def _d4rl_frame(self) -> Frame:
         """D4RL's frame for this body."""
 
-    @property
-    def _running(self) -> MazePhysics:
-        assert self._physics is not None, "reset comes before step"
-        return self._physics
-
-    def _build(self) -> MazePhysics:
+    @cached_property
+    def _physics(self) -> MazePhysics:
         from plp_lightning.envs.maze.physics import MazePhysics  # half a second that listing tasks need not pay
 
         centres = self.frame.centres(np.array(self.layout.walls)).tolist()
@@ -174,11 +168,11 @@ class Maze(Simulator):
         """Change the physical states of ``rows (n,)`` before a control step."""
 
     def _observe(self, rows: np.ndarray) -> Observation[np.ndarray]:
-        physical = self._running.states[rows, self._running.physical]
+        physical = self._physics.states[rows, self._physics.physical]
         return Observation(self.states_of_domain(physical).astype(np.float32))
 
     def _positions(self, rows: np.ndarray) -> np.ndarray:
-        positions: np.ndarray = self._running.states[rows, self._running.qpos][:, :2]
+        positions: np.ndarray = self._physics.states[rows, self._physics.qpos][:, :2]
         return positions
 
     def _visit(self, episodes: np.ndarray) -> None:

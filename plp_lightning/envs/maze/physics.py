@@ -21,8 +21,12 @@ class MazePhysics(Engine[Desk]):
     """
 
     def __init__(self, mjcf: str, threads: int = 0) -> None:
-        super().__init__(mujoco.MjModel.from_xml_string(mjcf), Desk.of, threads, LEAST)
+        super().__init__(mujoco.MjModel.from_xml_string(mjcf), threads, LEAST)
         self.physical = slice(self.qpos.start, self.qvel.stop)
+
+    def room(self, data: mujoco.MjData) -> Desk:
+        """A desk is all that it takes."""
+        return Desk.of(self.model, data)
 
     def hold(self, rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool = False) -> np.ndarray:
         """Apply ``controls (n, U)`` to ``rows (n,)`` for one control step.
@@ -35,13 +39,13 @@ class MazePhysics(Engine[Desk]):
                 the solver another warm start.
 
         Returns:
-            Mask ``(n,)`` of the rows that are valid, see :meth:`Engine.step`.
+            Mask ``(n,)`` of the rows that are valid, see :meth:`Engine.advance`.
         """
 
-        def advance(desk: Desk, rows: np.ndarray, controls: np.ndarray, valid: np.ndarray) -> None:
+        def change(desk: Desk, rows: np.ndarray, controls: np.ndarray, valid: np.ndarray) -> None:
             _hold(desk, self.states, rows, controls, valid, substeps, forward)
 
-        return self.step(rows, controls, advance)
+        return self.advance(rows, controls, change)
 
 
 @entry

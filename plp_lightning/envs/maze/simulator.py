@@ -103,7 +103,7 @@ class PointMaze(Maze):
         return Frame((-0.2, -0.2), (1.0, 0.0), (0.0, 1.0))
 
     def _before_step(self, rows: np.ndarray) -> None:
-        states, qvel = self._running.states, self._running.qvel
+        states, qvel = self._physics.states, self._physics.qvel
         states[rows, qvel] = np.clip(states[rows, qvel], -5.0, 5.0)
 
     def _mjcf(self, walls: Sequence[Box]) -> str:

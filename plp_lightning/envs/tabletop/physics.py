@@ -42,7 +42,7 @@ class Layout(NamedTuple):
     """Position of the puck ``(3,)``, or how far the window is open ``(1,)``, m."""
 
 
-class _Room(NamedTuple):
+class Room(NamedTuple):
     """The things that a thread works with."""
 
     data: mujoco.MjData
@@ -50,7 +50,7 @@ class _Room(NamedTuple):
     camera: Camera
 
 
-class TabletopPhysics:
+class TabletopPhysics(Engine[Room]):
     """The last observations of E episodes, and how they advance.
 
     Args:
@@ -62,16 +62,20 @@ class TabletopPhysics:
 
     def __init__(self, scene: TabletopModel, viewpoint: Viewpoint, image_size: int, threads: int) -> None:
         self.scene, self.viewpoint, self.image_size = scene, viewpoint, image_size
-        self.engine = Engine(scene.model, self._room, threads)
+        super().__init__(scene.model, threads)
+
+    def room(self, data: mujoco.MjData) -> Room:
+        """A desk, and a camera of its own."""
+        return Room(data, Desk.of(self.model, data), Camera(self.model, self.viewpoint, self.image_size))
 
     def reset(self, layouts: Sequence[Layout]) -> Observation[np.ndarray]:
         """Begin an episode for each layout."""
         count, size = len(layouts), self.image_size
-        self.engine.begin(count)
+        self.begin(count)
         self.observed = np.zeros((count, 8), dtype=np.float32)
         self.sites = np.zeros((count, len(self.scene.sites), 3))
         self.images = np.zeros((count, size, size, 3), dtype=np.uint8)
-        self.engine.share(count, lambda room, part: self._begin(room, part, layouts))
+        self.share(count, lambda room, part: self._start(room, part, layouts))
         self.observed[:, 4:] = self.observed[:, :4]
         return self._observation(np.arange(count))
 
@@ -81,20 +85,17 @@ class TabletopPhysics:
         Returns:
             Observations of the rows, and which are invalid, ``(n,)`` bool.
         """
-        valid = self.engine.step(rows, actions, self._advance)
+        valid = self.advance(rows, actions, self._change)
         return self._observation(rows), ~valid
-
-    def _room(self, model: mujoco.MjModel, data: mujoco.MjData) -> _Room:
-        return _Room(data, Desk.of(model, data), Camera(model, self.viewpoint, self.image_size))
 
     def _observation(self, rows: np.ndarray) -> Observation[np.ndarray]:
         return Observation(self.observed[rows], self.images[rows])
 
-    def _begin(self, room: _Room, part: slice, layouts: Sequence[Layout]) -> None:
+    def _start(self, room: Room, part: slice, layouts: Sequence[Layout]) -> None:
         for row in range(part.start, part.stop):
-            load(room.desk, self.engine.states[row])
+            load(room.desk, self.states[row])
             self._settle(room.data, layouts[row])
-            save(room.desk, self.engine.states[row])
+            save(room.desk, self.states[row])
             self._look(room, row)
 
     def _settle(self, data: mujoco.MjData, layout: Layout) -> None:
@@ -108,9 +109,9 @@ class TabletopPhysics:
         # Meta-World leaves out this call, and shows where things stood before.
         mujoco.mj_forward(model, data)
 
-    def _advance(self, room: _Room, rows: np.ndarray, actions: np.ndarray, valid: np.ndarray) -> None:
+    def _change(self, room: Room, rows: np.ndarray, actions: np.ndarray, valid: np.ndarray) -> None:
         for i, row in enumerate(rows):
-            state = self.engine.states[row]
+            state = self.states[row]
             valid[i] = valid[i] and load(room.desk, state)
             if valid[i]:
                 self._hold(room, actions[i])
@@ -118,7 +119,7 @@ class TabletopPhysics:
             if valid[i]:
                 self._look(room, row)
 
-    def _hold(self, room: _Room, action: np.ndarray) -> None:
+    def _hold(self, room: Room, action: np.ndarray) -> None:
         data, follower = room.data, self.scene.follower
         action = np.clip(action, -1.0, 1.0)
         data.mocap_pos[follower] = np.clip(data.mocap_pos[follower] + action[:3] * ACTION_SCALE, *WORKSPACE)
@@ -127,7 +128,7 @@ class TabletopPhysics:
         mujoco.mj_step(self.scene.model, data, nstep=SUBSTEPS)
         mujoco.mj_forward(self.scene.model, data)
 
-    def _look(self, room: _Room, row: int) -> None:
+    def _look(self, room: Room, row: int) -> None:
         data, scene, seen = room.data, self.scene, self.observed[row]
         right, left = (data.xpos[claw] for claw in scene.claws)
         seen[4:] = seen[:4]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, get_args
 from zlib import crc32
 
@@ -73,7 +74,6 @@ class Tabletop(Simulator):
         if horizon < 1 or threads < 0:
             raise ConfigError(f"horizon is {horizon}, threads is {threads}; expected at least 1 and at least 0")
         self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
-        self._physics: TabletopPhysics | None = None
 
     def spec(self, name: str) -> DomainSpec:
         """An image, and position of the hand and opening of the gripper, now and one control step ago."""
@@ -101,15 +101,13 @@ class Tabletop(Simulator):
         """
         self.tasks.check(tasks)
         layouts = [self._layout(task, self._stream(seed)) for task, seed in zip(tasks, seeds, strict=True)]
-        if self._physics is None:
-            self._physics = self._build()
         first = self._physics.reset(layouts)
         self._begin(tasks, layouts)
         return first
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
-        observation, invalid = self._running.step(actions, episodes)
+        observation, invalid = self._physics.step(actions, episodes)
         return Step(observation, self._solved(episodes) & ~invalid, invalid)
 
     @abstractmethod
@@ -128,12 +126,8 @@ class Tabletop(Simulator):
     @abstractmethod
     def _solved(self, rows: np.ndarray) -> np.ndarray: ...
 
-    @property
-    def _running(self) -> TabletopPhysics:
-        assert self._physics is not None, "reset comes before step"
-        return self._physics
-
-    def _build(self) -> TabletopPhysics:
+    @cached_property
+    def _physics(self) -> TabletopPhysics:
         from plp_lightning.envs.rendering.backend import choose_backend
 
         choose_backend()  # before MuJoCo is imported, which asks for it then
@@ -184,7 +178,7 @@ class Reach(Tabletop):
         self._touched = np.full(len(tasks), -1)
 
     def _solved(self, rows: np.ndarray) -> np.ndarray:
-        fingers = self._running.sites[rows].mean(axis=1, keepdims=True)
+        fingers = self._physics.sites[rows].mean(axis=1, keepdims=True)
         near = np.linalg.norm(fingers - self._balls[rows], axis=-1) <= RADIUS
         first = (self._touched[rows] < 0) & near.any(axis=1)
         self._touched[rows[first]] = near[first].argmax(axis=1)
@@ -199,7 +193,7 @@ class Window(Tabletop):
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
         """Place ``(n, 3)`` of the handle, m."""
-        handle: np.ndarray = self._running.sites[episodes, self._handle[episodes]]
+        handle: np.ndarray = self._physics.sites[episodes, self._handle[episodes]]
         return handle
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
