@@ -41,6 +41,7 @@ class ParkingExpert(Expert):
     """Holds the car against the slope, and pulls it to its goal by spring and damper."""
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
+        assert isinstance(simulator, ValleyCar)
         self.simulator = simulator
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:

@@ -59,7 +59,7 @@ class Engine(ABC, Generic[R]):
         """Make of a thread's MjData what the thread works with."""
 
     def columns(self, part: mujoco.mjtState) -> slice:
-        """Columns of the states that hold one part of it, such as ``mjtState.mjSTATE_MOCAP_POS``."""
+        """Columns of the states that hold one part, such as ``mjtState.mjSTATE_MOCAP_POS``."""
         start = mujoco.mj_stateSize(self.model, STATE & (int(part) - 1))
         return slice(start, start + mujoco.mj_stateSize(self.model, int(part)))
 

@@ -122,6 +122,10 @@ def _plain() -> type[Simulator]:
     return type("Simulator", (Simulator,), dict.fromkeys(Simulator.__abstractmethods__))
 
 
+def test_a_simulator_has_to_meet_four_members() -> None:
+    assert Simulator.__abstractmethods__ == {"tasks", "spec", "reset", "step"}
+
+
 def test_a_simulator_without_a_shared_position_says_so() -> None:
     with pytest.raises(UserError, match=r"Simulator knows no position that domains share; .* choose another --score"):
         located(object.__new__(_plain()))
