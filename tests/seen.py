@@ -19,7 +19,7 @@ from plp_lightning.networks import ImageEncoding
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
 
-TASKS = SeenPoint(1).tasks
+TASKS = SeenPoint(1).tasks.names
 TARGET = "blue"
 PROXIES = ("red", "green")
 IN_MEMORY, ON_DISK, HALF = 1.0, 0.0, 3e-5

@@ -23,7 +23,7 @@ from plp_lightning.methods.plp.terms import MMD, TCC, DomainAdversarial, ImageRe
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
 
-TASKS = LinearPoint(1).tasks
+TASKS = LinearPoint(1).tasks.names
 TARGET = "goal_3"
 PROXIES = tuple(task for task in TASKS if task != TARGET)
 

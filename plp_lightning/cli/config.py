@@ -26,7 +26,6 @@ from plp_lightning.cli.layers import Tree, completed, insert, overlay, read_yaml
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
-from plp_lightning.envs.proxy_tasks import some_proxy_tasks
 from plp_lightning.evaluation.joint_score import JointScore
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.runs.collection import CollectionConfig, ExpertCollector
@@ -232,16 +231,16 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
 
 def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
     check_roles(made.domains, data.source_domain, data.target_domain)
-    simulator = made.domains[data.source_domain].simulator
+    tasks = made.domains[data.source_domain].simulator.tasks
     folder = Path(data.root or os.environ.get("PLP_DATA", "data"))
     roles = TransferRoles(
         domains=tuple(made.domains),
         source_domain=data.source_domain,
         target_domain=data.target_domain,
-        tasks=simulator.tasks,
-        proxy_tasks=some_proxy_tasks(simulator, data.target_task, data.proxy_goals),
+        tasks=tasks.names,
+        proxy_tasks=tasks.proxies(data.target_task, data.proxy_goals),
         target_task=data.target_task,
-        target_tasks=simulator.target_tasks(data.target_task),
+        target_tasks=tasks.of(data.target_task),
     )
     path = Path(data.file) if data.file else folder / f"{made.experiment}.hdf5"
     collector = ExpertCollector(made.domains, made.collection)

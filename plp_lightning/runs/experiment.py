@@ -15,8 +15,10 @@ from datamodules.problem import TransferProblem
 from datamodules.settings import Configured, NonNegativeInt, PositiveInt
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Domain, Simulator
+from plp_lightning.envs.rollout import Observer
+from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.evaluation.simulation import EvalSetting, Success, evaluate_all
+from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
 
@@ -39,6 +41,7 @@ class EvaluationPlan(Configured):
         latent_pairs: Corresponding states that are joined in them.
         reconstructions: Images of each domain in the picture of reconstructions; 0 draws none.
         films: Episodes of the target task in each domain's film, failures first; 0 films none.
+        metrics: Metrics of behaviour beside success, of every trial.
     """
 
     every_n_epochs: dict[str, NonNegativeInt] = field(default_factory=dict)
@@ -50,6 +53,7 @@ class EvaluationPlan(Configured):
     latent_pairs: NonNegativeInt = 20
     reconstructions: NonNegativeInt = 8
     films: NonNegativeInt = 6
+    metrics: list[BehaviourMetric] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -108,19 +112,20 @@ class Experiment:
         policy: Policy,
         episodes: int | None = None,
         seed: int | None = None,
-        recorders: Mapping[str, Simulator] | None = None,
-    ) -> dict[str, Success]:
+        observers: Mapping[str, Sequence[Observer]] | None = None,
+    ) -> dict[str, Outcome]:
         """Outcome of every trial of a policy at the end of training.
 
         Args:
             policy: The trained policy, in eval mode.
             episodes: Episodes of each trial; those of the plan if not given.
             seed: Seed of the initial states; that of the run if not given.
-            recorders: By trial: who stands in for its simulator, see :func:`evaluate_all`.
+            observers: By trial: further observers of its episodes.
         """
         episodes = self.evaluation.final_episodes if episodes is None else episodes
         seed = self.seed if seed is None else seed
-        return evaluate_all(policy, self.simulators, self.eval_settings_of(policy), episodes, seed, recorders)
+        settings, metrics = self.eval_settings_of(policy), self.evaluation.metrics
+        return evaluate_all(policy, self.simulators, settings, episodes, seed, metrics, observers)
 
     def alignment(self, policy: Policy) -> dict[str, float]:
         """Alignment scores of a policy at the end of a phase; empty without a score or anything to score."""
