@@ -283,8 +283,8 @@ def test_demonstrators_keep_what_is_seen_after_the_last_action(random_start_step
         state = domain.simulator.reset([task], [seed]).state
         for drift in [demonstrator.drifts[index]] * random_start_steps:
             state = domain.simulator.step(drift[None], np.array([0])).observation.state
-        for seen, action in zip(observation.state, actions, strict=False):
-            np.testing.assert_array_equal(seen, state[0])
+        for shown, action in zip(observation.state, actions, strict=False):
+            np.testing.assert_array_equal(shown, state[0])
             state = domain.simulator.step(action[None], np.array([0])).observation.state
         np.testing.assert_array_equal(observation.state[-1], state[0])
 
