@@ -12,12 +12,17 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from plp_lightning.envs.base import Expert, Simulator
+from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.plp.terms import AlignmentTerm
 from plp_lightning.methods.policy import Policy
+from plp_lightning.networks import ImageEncoding
 
-ROOTS = (Policy, Phase, AlignmentTerm, Simulator, Expert, AlignmentScore, Callback, Optimizer, LRScheduler)
+ROOTS = (
+    *(Policy, Phase, AlignmentTerm, ImageEncoding, Simulator, Expert, AlignmentScore, BehaviourMetric),
+    *(Callback, Optimizer, LRScheduler),
+)
 """Their subclasses are what a configuration names."""
 
 

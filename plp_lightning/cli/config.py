@@ -28,15 +28,9 @@ from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation.joint_score import JointScore
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.runs.collection import CollectionConfig, ExpertCollector
-from plp_lightning.runs.experiment import (
-    EvaluationPlan,
-    Experiment,
-    PhaseFactory,
-    PolicyFactory,
-    check_names,
-    check_roles,
-)
+from plp_lightning.runs.collection import ExpertCollector
+from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory, check_names, check_roles
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
 SPARE_TERMS = ("mmd", "tcc", "adversarial", "reconstruction")

@@ -15,56 +15,18 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.errors import UserError
-from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.store.writer import TrajectoryFile, add_trajectories
 from datamodules.streams import EpisodeStream, episode_generator, episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.base import Domain, Step
 from plp_lightning.envs.rollout import Observer, rollout
 from plp_lightning.envs.threads import available_cores
+from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.runs.versions import versions
 
 _domains: Mapping[str, Domain] = {}
 """In a collecting process: the experiment's domains, whose simulators are built once for each process."""
-
-
-@dataclass(frozen=True)
-class CollectionConfig(Configured):
-    """How demonstrations are made.
-
-    Args:
-        processes: Processes that collect; 0 means one for each core.
-        hold_steps: Control steps that are recorded after success, so that the end is held.
-        noise: Standard deviation of noise on executed actions; the recorded action stays the expert's.
-        random_start_steps: Control steps of one random action before the expert takes over, which are not recorded,
-            so that demonstrations begin in many places.
-        seed: Seed of all initial states. It is no part of a run's seed: runs share their data.
-        attempts: Attempts for each wanted demonstration before the expert is called unfit.
-    """
-
-    processes: NonNegativeInt = 0
-    hold_steps: NonNegativeInt = 5
-    noise: NonNegativeFloat = 0.0
-    random_start_steps: NonNegativeInt = 0
-    seed: NonNegativeInt = 0
-    attempts: PositiveInt = 3
-
-    def differences(self, other: Mapping[str, object]) -> dict[str, tuple[object, object]]:
-        """Settings in which another recipe's demonstrations differ from this one's, as (other's, own).
-
-        Args:
-            other: The other recipe by setting, as stored in a file; what it lacks had its default.
-        """
-        known = {RENAMED.get(name, name): value for name, value in other.items()}
-        pairs = {name: (known.get(name, getattr(CollectionConfig, name)), getattr(self, name)) for name in DECISIVE}
-        return {name: (found, own) for name, (found, own) in pairs.items() if found != own}
-
-
-DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
-"""Settings of a recipe that decide what its demonstrations hold."""
-RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}
-"""Settings that are called otherwise in older files."""
 
 
 @dataclass(frozen=True)

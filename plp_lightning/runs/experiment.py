@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,48 +12,17 @@ from lightning.pytorch import Callback
 
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
-from datamodules.settings import Configured, NonNegativeInt, PositiveInt
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.envs.rollout import Observer
-from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
+from plp_lightning.runs.plans import EvaluationPlan
 
 PolicyFactory = Callable[[TransferProblem], Policy]
 PhaseFactory = Callable[[Policy], Phase[Any]]
-
-
-@dataclass(frozen=True)
-class EvaluationPlan(Configured):
-    """When and how much to evaluate in the simulators.
-
-    Args:
-        every_n_epochs: Epochs between two evaluations, by phase; 0 leaves it to the end. A phase that is not
-            named is evaluated whenever that takes under a tenth of the time trained since the last evaluation.
-        episodes: Episodes of each trial in these.
-        final_episodes: Episodes of each trial at the end of a phase.
-        score_every_n_epochs: Epochs between two alignment scores.
-        latent_states: States of each domain in the picture of the latent space; 0 draws none.
-        latent_every_n_epochs: Epochs between two of these pictures; 0 draws one at the end of a phase only.
-        latent_pairs: Corresponding states that are joined in them.
-        reconstructions: Images of each domain in the picture of reconstructions; 0 draws none.
-        films: Episodes of the target task in each domain's film, failures first; 0 films none.
-        metrics: Metrics of behaviour beside success, of every trial.
-    """
-
-    every_n_epochs: dict[str, NonNegativeInt] = field(default_factory=dict)
-    episodes: PositiveInt = 20
-    final_episodes: PositiveInt = 100
-    score_every_n_epochs: NonNegativeInt = 5
-    latent_states: NonNegativeInt = 500
-    latent_every_n_epochs: NonNegativeInt = 0
-    latent_pairs: NonNegativeInt = 20
-    reconstructions: NonNegativeInt = 8
-    films: NonNegativeInt = 6
-    metrics: list[BehaviourMetric] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

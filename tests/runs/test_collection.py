@@ -20,7 +20,8 @@ from plp_lightning.envs.base import Domain, Expert, Simulator, Step
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.runs import collection
-from plp_lightning.runs.collection import CollectionConfig, ExpertCollector, Job, demonstrate
+from plp_lightning.runs.collection import ExpertCollector, Job, demonstrate
+from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 
 RECIPE = CollectionConfig(processes=1, noise=0.2)
