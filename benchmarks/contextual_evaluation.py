@@ -29,8 +29,8 @@ WITHOUT_CACHE = (100, 200, 300, 400)
 def policy_of(maze: PointMaze) -> ContextualPolicy:
     """A policy with random weights and a random demonstration of every task."""
     domains = [maze.spec("mirrored"), maze.spec("point")]
-    policy = ContextualPolicy(TransferProblem(domains, maze.tasks, "mirrored", "point"))
-    count, rng = len(maze.tasks), np.random.default_rng(0)
+    policy = ContextualPolicy(TransferProblem(domains, maze.tasks.names, "mirrored", "point"))
+    count, rng = len(maze.tasks.names), np.random.default_rng(0)
     state = rng.normal(size=(count * DEMONSTRATION, domains[0].state_size)).astype(np.float32)
     action = rng.uniform(-1, 1, (len(state), domains[0].action_size)).astype(np.float32)
     offset, unknown = np.arange(count + 1) * DEMONSTRATION, np.full(count, -1)
@@ -60,8 +60,8 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     maze = PointMaze("medium", horizon=HORIZON, threads=options.threads)
     policy = policy_of(maze)
-    for title, count in (("one task", 1), ("all tasks in turn", len(maze.tasks))):
-        tasks = [maze.tasks[i % count] for i in range(options.episodes)]
+    for title, count in (("one task", 1), ("all tasks in turn", len(maze.tasks.names))):
+        tasks = [maze.tasks.names[i % count] for i in range(options.episodes)]
         began, used = time.perf_counter(), time.process_time()
         rollout(maze, policy.actor("point", tasks), tasks, list(range(len(tasks))), hold_steps=HORIZON)
         took, used = time.perf_counter() - began, time.process_time() - used

@@ -17,8 +17,10 @@ import numpy as np
 
 from plp_lightning.envs.experts.lift import LiftExpert
 from plp_lightning.envs.lift.model import robosuite_env
-from plp_lightning.envs.lift.osc import STATE, SUBSTEPS
-from plp_lightning.envs.lift.simulator import Lift, Robot
+from plp_lightning.envs.lift.osc import SUBSTEPS
+from plp_lightning.envs.lift.simulator import Lift
+from plp_lightning.envs.lift.tasks import Robot
+from plp_lightning.envs.native import STATE
 from plp_lightning.envs.threads import available_cores
 
 ROBOSUITE_SHARE = 4
@@ -39,11 +41,10 @@ def stepping(robot: Robot, steps: int) -> dict[str, float]:
     lifts = {f"fast path, {n} thread(s)": Lift(robot, threads=n) for n in sorted({1, available_cores()})}
     rows = np.arange(27)
     for lift in lifts.values():
-        lift.reset(lift.tasks, list(rows))
+        lift.reset(lift.tasks.names, list(rows))
     env = robosuite_env(robot, joint_noise=0.05)
     env.reset()
     physics = next(iter(lifts.values()))._physics
-    assert physics is not None
     models = {BARE: physics.lift.model, f"{BARE}, with visuals": env.sim.model._model}
     scratch = {name: mujoco.MjData(model) for name, model in models.items()}
     rng, seconds, counts = np.random.default_rng(0), dict[str, float](), dict[str, int]()
@@ -58,7 +59,7 @@ def stepping(robot: Robot, steps: int) -> dict[str, float]:
         if turn == 0:  # the rounds before compile and fill caches
             seconds.clear()
             counts.clear()
-        actions, states = rng.uniform(-1, 1, (len(rows), 4)), physics.episodes.state.copy()
+        actions, states = rng.uniform(-1, 1, (len(rows), 4)), physics.states.copy()
         for name, model in models.items():
             measure(name, len(rows), partial(bare_steps, model, scratch[name], states))
         for name, lift in lifts.items():
@@ -96,8 +97,8 @@ def main() -> None:
             cost, gain = rates[BARE] / rate, rate / rates[ROBOSUITE]
             print(f"{robot:7} {name:27} {rate:6.0f} steps/s  {cost:5.2f} x bare cost  {gain:5.2f} x robosuite's rate")
         lift = Lift(robot)
-        seeds = list(range(options.episodes)) * len(lift.tasks)
-        lengths = expert_lengths(lift, [task for task in lift.tasks for _ in range(options.episodes)], seeds)
+        seeds = list(range(options.episodes)) * len(lift.tasks.names)
+        lengths = expert_lengths(lift, [task for task in lift.tasks.names for _ in range(options.episodes)], seeds)
         print(f"{robot:7} expert solves {len(lengths)}/{len(seeds)}, in {np.mean(lengths):.1f} steps on average")
 
 

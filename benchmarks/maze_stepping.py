@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 
 from plp_lightning.envs.maze.base import Maze
-from plp_lightning.envs.maze.rollout import STATE
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
+from plp_lightning.envs.native import STATE
 
 BODIES: dict[str, tuple[Callable[[], Maze], int, str]] = {
     "point": (lambda: PointMaze("medium", frame="gymnasium"), 600, "PointMaze_Medium-v3"),
@@ -37,11 +37,11 @@ def timed(call: Callable[[], object]) -> np.ndarray:
 
 def bare(maze: Maze, data: mujoco.MjData, states: np.ndarray, actions: np.ndarray) -> None:
     """One control step of every state with MuJoCo's Python bindings and nothing else."""
-    assert maze._physics is not None
+    model = maze._physics.model
     for state, action in zip(states, actions, strict=True):
-        mujoco.mj_setState(maze._physics._model, data, state, STATE)
+        mujoco.mj_setState(model, data, state, STATE)
         data.ctrl[:] = action
-        mujoco.mj_step(maze._physics._model, data, nstep=maze.frame_skip)
+        mujoco.mj_step(model, data, nstep=maze.frame_skip)
 
 
 def measure(name: str, episodes: int) -> str:
@@ -49,14 +49,13 @@ def measure(name: str, episodes: int) -> str:
     build, steps, env_id = BODIES[name]
     maze, env = build(), gymnasium_env(env_id)
     rows = np.arange(episodes)
-    maze.reset([maze.tasks[i % len(maze.tasks)] for i in rows], rows.tolist())
-    assert maze._physics is not None
-    data = mujoco.MjData(maze._physics._model)
+    maze.reset([maze.tasks.names[i % len(maze.tasks.names)] for i in rows], rows.tolist())
+    data = mujoco.MjData(maze._physics.model)
     rng = np.random.default_rng(0)
     ours, shared, slow, gymnasium = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     for t in range(-2, steps):
         actions = rng.uniform(-1, 1, (episodes, maze.spec(name).action_size)).astype(np.float32)
-        states = maze._states.copy()
+        states = maze._physics.states.copy()
         seconds = timed(partial(maze.step, actions, rows))
         if t < 0:  # the first steps compile
             continue

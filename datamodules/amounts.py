@@ -1,7 +1,6 @@
 """Settings of data: demonstrations of each kind, contents of a batch, and where they lie."""
 
-from __future__ import annotations
-
+# No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 from dataclasses import dataclass
 
 from datamodules.settings import Configured, Fraction, NonNegativeFloat, PositiveInt

@@ -17,9 +17,10 @@ from plp_lightning.envs.synthetic import LinearPointExpert, SeenPoint
 from plp_lightning.methods.plp.policy import DecoderState, PortablePolicy
 from plp_lightning.networks import ImageEncoding
 from plp_lightning.runs import collection
-from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
+from plp_lightning.runs.collection import Job, demonstrate
+from plp_lightning.runs.plans import CollectionConfig
 
-TASKS = SeenPoint(1).tasks
+TASKS = SeenPoint(1).tasks.names
 TARGET = "blue"
 PROXIES = ("red", "green")
 IN_MEMORY, ON_DISK, HALF = 1.0, 0.0, 3e-5

@@ -26,8 +26,8 @@ from plp_lightning.cli.config import BASE, DataSettings, allow_imports, build_pa
 from plp_lightning.cli.layers import completed, insert, overlay
 from plp_lightning.envs.tabletop.simulator import Tabletop
 from plp_lightning.methods.optimization import FusedAdamW, LinearDecay
-from plp_lightning.runs.collection import CollectionConfig
-from plp_lightning.runs.experiment import EvaluationPlan, Experiment
+from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 EXPERIMENTS = sorted(path for path in (ROOT / "configs").glob("*.yaml") if path.name != "base.yaml")
 BY_NAME = {path.stem: path for path in EXPERIMENTS}

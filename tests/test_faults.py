@@ -46,7 +46,7 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--data.target_task gaol_3", "unknown task 'gaol_3'; the tasks are goal_0, "),
+        ("--data.target_task gaol_3", "no target 'gaol_3' in LinearPoint; expected one of: goal_0, "),
         ("--data.source_domain flatt", "'flatt'; the domains of this experiment are flat, tall"),
         ("--data.source_domain tall", "source and target domain are both 'tall'; set two different ones"),
         ("--data.batch_sise 3", "unknown key 'data.batch_sise'; did you mean 'data.batch_size'?"),

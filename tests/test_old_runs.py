@@ -17,7 +17,7 @@ from command import ROOT, plp
 
 import plp_lightning
 from datamodules.types import Observation
-from plp_lightning.runs.collection import CollectionConfig
+from plp_lightning.runs.plans import CollectionConfig
 
 OLD = Path(__file__).parent / "old_runs"
 FINISHED, STOPPED = ("plp_t_disc", "bc"), ("plp_t", "gama", "cdil", "contextual")

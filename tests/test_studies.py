@@ -15,7 +15,6 @@ from test_configs import invent_demonstrations
 
 from plp_lightning.cli.config import parse
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
-from plp_lightning.envs.proxy_tasks import some_proxy_tasks
 from plp_lightning.envs.synthetic import LinearPoint
 
 DOCUMENT = (ROOT / "docs" / "studies.md").read_text()
@@ -82,26 +81,26 @@ def test_pages_of_several_sources_add_agents_to_their_experiment(page: Path) -> 
     said = {name: domain.simulator.spec(name).env for name, domain in several.domains.items()}
     assert len({*said.values()}) == len(said)
     assert said.items() >= {name: domain.simulator.spec(name).env for name, domain in alone.domains.items()}.items()
-    assert {domain.simulator.tasks for domain in several.domains.values()} == {several.data.tasks}
+    assert {domain.simulator.tasks.names for domain in several.domains.values()} == {several.data.tasks}
 
 
 def test_fewer_goals_are_among_more_and_bring_all_their_starts() -> None:
-    maze = PointMaze("medium")
-    chosen = {n: some_proxy_tasks(maze, "goal_1_6", n) for n in range(1, 26)}
+    known = PointMaze("medium").tasks
+    chosen = {n: known.proxies("goal_1_6", n) for n in range(1, 26)}
     for n, tasks in chosen.items():
-        goals = {maze.target_of(task) for task in tasks}
+        goals = {known.target_of(task) for task in tasks}
         assert len(goals) == n
         assert "goal_1_6" not in goals
-        assert {*tasks} == {task for goal in goals for task in maze.target_tasks(goal)}
+        assert {*tasks} == {task for goal in goals for task in known.of(goal)}
         assert {*tasks} >= {*chosen.get(n - 1, ())}
-    assert chosen[25] == maze.proxy_tasks("goal_1_6") == some_proxy_tasks(maze, "goal_1_6", None)
-    assert chosen[5] == some_proxy_tasks(WalkerMaze("medium"), "goal_1_6", 5)
-    assert chosen[5] == tuple(task for task in maze.proxy_tasks("goal_1_6") if task in chosen[5])
+    assert chosen[25] == known.proxies("goal_1_6")
+    assert chosen[5] == WalkerMaze("medium").tasks.proxies("goal_1_6", 5)
+    assert chosen[5] == tuple(task for task in known.proxies("goal_1_6") if task in chosen[5])
 
 
 def test_every_task_is_part_of_its_own_target() -> None:
-    for simulator in (PointMaze("medium"), PointMaze("umaze"), LinearPoint(1)):
-        assert all(task in simulator.target_tasks(simulator.target_of(task)) for task in simulator.tasks)
+    for known in (PointMaze("medium").tasks, PointMaze("umaze").tasks, LinearPoint(1).tasks):
+        assert all(task in known.of(known.target_of(task)) for task in known.names)
 
 
 def test_too_many_goals_are_named() -> None:

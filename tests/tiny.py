@@ -21,9 +21,10 @@ from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory
 from plp_lightning.methods.plp.policy import PortablePolicy
 from plp_lightning.methods.plp.terms import MMD, TCC, DomainAdversarial, ImageReconstruction, TermFactory
 from plp_lightning.runs import collection
-from plp_lightning.runs.collection import CollectionConfig, Job, demonstrate
+from plp_lightning.runs.collection import Job, demonstrate
+from plp_lightning.runs.plans import CollectionConfig
 
-TASKS = LinearPoint(1).tasks
+TASKS = LinearPoint(1).tasks.names
 TARGET = "goal_3"
 PROXIES = tuple(task for task in TASKS if task != TARGET)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from lightning.pytorch import Callback, LightningModule, Trainer
 
 from plp_lightning.envs.base import Simulator
+from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
 from plp_lightning.methods.phase import Phase
 
@@ -18,7 +19,7 @@ SHARE = 0.1
 
 
 class SimulatorEvaluation(Callback):
-    """Rolls the policy out every n epochs and logs ``eval/<trial>_success``.
+    """Rolls the policy out every n epochs and logs ``eval/<trial>_success``, and metrics of behaviour likewise.
 
     Evaluations draw from their own seeds, so how often they happen does not change what is learned.
 
@@ -29,6 +30,7 @@ class SimulatorEvaluation(Callback):
         every_n_epochs: Epochs between two evaluations; 0 leaves it to the end of the phase, None evaluates
             after every epoch that is long enough for the evaluation to take under a tenth of the time.
         seed: Seed of the initial states.
+        metrics: Metrics of behaviour.
     """
 
     def __init__(
@@ -38,9 +40,10 @@ class SimulatorEvaluation(Callback):
         episodes: int,
         every_n_epochs: int | None,
         seed: int,
+        metrics: Sequence[BehaviourMetric] = (),
     ) -> None:
         self.simulators, self.eval_settings = simulators, trials
-        self.episodes, self.every_n_epochs, self.seed = episodes, every_n_epochs, seed
+        self.episodes, self.every_n_epochs, self.seed, self.metrics = episodes, every_n_epochs, seed, metrics
         self.cost, self.last = FIRST_GUESS, time.monotonic()
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -63,8 +66,11 @@ class SimulatorEvaluation(Callback):
     def _evaluate(self, phase: Phase) -> None:
         training = phase.policy.training
         phase.policy.eval()
-        outcomes = evaluate_all(phase.policy, self.simulators, self.eval_settings, self.episodes, self.seed)
+        settings, episodes = self.eval_settings, self.episodes
+        outcomes = evaluate_all(phase.policy, self.simulators, settings, episodes, self.seed, self.metrics)
         phase.policy.train(training)
         for name, outcome in outcomes.items():
             phase.log(f"eval/{name}_success", outcome.success)
             phase.log(f"eval/{name}_invalid", float(outcome.invalid))
+            for metric, value in outcome.behaviour.items():
+                phase.log(f"eval/{name}_{metric}", value)

@@ -26,12 +26,11 @@ from plp_lightning.cli.layers import Tree, completed, insert, overlay, read_yaml
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
-from plp_lightning.envs.proxy_tasks import some_proxy_tasks
 from plp_lightning.evaluation.joint_score import JointScore
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.runs import experiment as described
-from plp_lightning.runs.collection import CollectionConfig, ExpertCollector
-from plp_lightning.runs.experiment import EvaluationPlan, Experiment
+from plp_lightning.runs.collection import ExpertCollector
+from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory, check_names, check_roles
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
 SPARE_TERMS = ("mmd", "tcc", "adversarial", "reconstruction")
@@ -72,12 +71,12 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> tuple[Tree, lis
     phases = _phase_names(contents.values(), option_values(arguments, "phases"))
     tree: Tree = {}
     for path, content in contents.items():
-        renamed, changes = rename(content, phases)
+        renamed, changes = rename(content, phases, tree)
         _tell(f"{path}", changes)
         parts = {name: {"class_path": x} for name, x in renamed.items() if name in phases and isinstance(x, str)}
         tree = overlay(tree, renamed | parts, allowed)
     chosen, flags = _class_flags(_flags(arguments, tree), phases)
-    chosen, changes = rename(chosen, phases)
+    chosen, changes = rename(chosen, phases, tree)
     _tell("flags", changes)
     for value in option_values(arguments, "phases"):
         chosen["phases"] = _read(value)
@@ -102,7 +101,7 @@ def _flags(arguments: Sequence[str], tree: Tree) -> list[str]:
     kept, words = [], iter(arguments)
     for word in words:
         if word in ("--config", "--phases"):
-            next(words, None)
+            kept += [] if next(words, "") else [word]
         elif not word.startswith(("--config=", "--phases=")):
             key, joint, value = word.partition("=")
             new = f"--{rename_flag(key[2:], tree)}" if key.startswith("--") else key
@@ -148,11 +147,11 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     parser.add_argument("--domains", type=dict[str, Domain], help="simulator and expert of each domain")
     parser.add_class_arguments(DataSettings, "data")
     parser.add_class_arguments(CollectionConfig, "collection")
-    parser.add_argument("--policy", type=described.PolicyFactory, help="the policy's class and sizes")
+    parser.add_argument("--policy", type=PolicyFactory, help="the policy's class and sizes")
     parser.add_argument("--phases", type=list[str], help="phases of the method, in order; each is a key of its own")
     for name in phases:
         told = f"phase {name}: class, losses, epochs, optimizer"
-        parser.add_argument(f"--{name}", type=described.PhaseFactory, help=told)
+        parser.add_argument(f"--{name}", type=PhaseFactory, help=told)
     parser.add_class_arguments(EvaluationPlan, "evaluation")
     parser.add_argument("--score", type=list[AlignmentScore], default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
@@ -196,7 +195,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         if not made[key]:
             raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
     names = {"experiment": made.experiment, "method": made.method, "data.target_task": made.data.target_task}
-    described.check_names(names)
+    check_names(names)
     return Experiment(
         name=made.experiment,
         method=made.method,
@@ -216,17 +215,17 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
 
 
 def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
-    described.check_roles(made.domains, data.source_domain, data.target_domain)
-    simulator = made.domains[data.source_domain].simulator
+    check_roles(made.domains, data.source_domain, data.target_domain)
+    tasks = made.domains[data.source_domain].simulator.tasks
     folder = Path(data.root or os.environ.get("PLP_DATA", "data"))
     roles = TransferRoles(
         domains=tuple(made.domains),
         source_domain=data.source_domain,
         target_domain=data.target_domain,
-        tasks=simulator.tasks,
-        proxy_tasks=some_proxy_tasks(simulator, data.target_task, data.proxy_goals),
+        tasks=tasks.names,
+        proxy_tasks=tasks.proxies(data.target_task, data.proxy_goals),
         target_task=data.target_task,
-        target_tasks=simulator.target_tasks(data.target_task),
+        target_tasks=tasks.of(data.target_task),
     )
     path = Path(data.file) if data.file else folder / f"{made.experiment}.hdf5"
     collector = ExpertCollector(made.domains, made.collection)

@@ -52,7 +52,7 @@ def _begin(experiment: Experiment, phase: str | None, origin: str | None) -> Non
 
 def _resume(path: Path, rest: list[str], others: str | None) -> None:
     run = RunDirectory.open(path)
-    trusted = [f"--allow_imports={name}" for name in option_values(rest, "allow_imports")]
+    trusted = _trusted(rest)
     if others or len(rest) > 2 * len(trusted):
         remedy = "drop all options but --allow_imports"
         raise ConfigError(f"--resume goes on with the configuration in {run.config}; {remedy}")
@@ -61,6 +61,11 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
         print(f"{path}: done already; nothing was changed")
         return
     _fit(parse(["--config", str(run.config), *trusted]), run)
+
+
+def _trusted(rest: Sequence[str]) -> list[str]:
+    """Packages of the user's: a run's own configuration cannot vouch for them."""
+    return [f"--allow_imports={name}" for name in option_values(rest, "allow_imports")]
 
 
 def _fit(experiment: Experiment, run: RunDirectory) -> None:
@@ -156,10 +161,11 @@ def _assessment(options: argparse.Namespace, rest: list[str]) -> Assessment:
 
 
 def _of_run(path: Path, rest: list[str], options: argparse.Namespace) -> Assessment:
-    if rest:
+    trusted = _trusted(rest)
+    if len(rest) > 2 * len(trusted):
         raise ConfigError(f"{rest[0]!r} is not accepted with a run directory, whose own configuration is used")
     run = RunDirectory.open(path)
-    experiment = parse(["--config", str(run.config)])
+    experiment = parse(["--config", str(run.config), *trusted])
     if options.phase not in (None, *experiment.phases):
         raise ConfigError(f"--phase is {options.phase!r}; the phases of {path} are {', '.join(experiment.phases)}")
     done = [name for name in experiment.phases if run.checkpoint(name).exists()]

@@ -47,7 +47,7 @@ def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:
     }
     tasks = _tasks(fit, maze)
     trajectories = [demonstration(way, task, maze, domain) for way, task in zip(fit, tasks, strict=True)]
-    add_trajectories(out, [maze.spec(domain)], maze.tasks, trajectories, record)
+    add_trajectories(out, [maze.spec(domain)], maze.tasks.names, trajectories, record)
     print(f"{out}: {len(fit)} demonstrations of {len({*tasks})} tasks imported; {_listed(dropped) or 'none dropped'}")
 
 

@@ -80,7 +80,8 @@ def completed(tree: Any, allowed: Sequence[str]) -> Any:
     if kind is None:
         return inner
     own = {name: _as_yaml(value) for name, value in defaults(kind).items() if _is_plain(value)}
-    return {**inner, "init_args": {**own, **(inner.get("init_args") or {})}}
+    arguments = {**own, **(inner.get("init_args") or {})}
+    return {**inner, "init_args": arguments} if arguments else inner
 
 
 def _is_plain(value: Any) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from datamodules.errors import ConfigError
@@ -44,18 +44,19 @@ VALUES = {"lr_schedule": lambda word: {"class_path": "CosineDecay"} if word == "
 OLD_CLIP = 5.0  # The only bound of z-scored inputs that there is now
 
 
-def rename(tree: Tree, phases: list[str]) -> tuple[Tree, list[str]]:
+def rename(tree: Tree, phases: Sequence[str], below: Tree) -> tuple[Tree, list[str]]:
     """A configuration, as read from a file, in today's names, and for each old name ``old is new``.
+
+    A part that names no class is of the class that it has in the configuration ``below``.
 
     Raises:
         ConfigError: If a setting that is gone has another value than it always has now.
     """
     found: list[str] = []
     renamed = {key: _group(key, value, found) if key in GROUPS else value for key, value in _classes(tree).items()}
-    if isinstance(renamed.get("policy"), Mapping):
-        renamed["policy"] = _part(renamed["policy"], "policy", found)
-    for phase in (name for name in phases if isinstance(renamed.get(name), Mapping)):
-        renamed[phase] = _part(renamed[phase], phase, found)
+    for place in (name for name in ("policy", *phases) if isinstance(renamed.get(name), Mapping)):
+        kind = renamed[place].get("class_path") or (below.get(place) or {}).get("class_path")
+        renamed[place] = _part(renamed[place], place, str(kind), found)
     if isinstance(renamed.get("score"), Mapping):
         renamed["score"] = [renamed["score"]]
         found.append("one score is a list of one")
@@ -67,7 +68,7 @@ def rename_flag(key: str, tree: Tree) -> str:
     head, _, name = key.replace(".init_args.", ".").partition(".")
     new = GROUPS.get(head, {}).get(name)
     if new is None and name not in VALUES and isinstance(tree.get(head), Mapping):
-        new = _table(head, tree[head]).get(name, "").replace(".init_args.", ".")
+        new = _table(head, str(tree[head].get("class_path"))).get(name, "").replace(".init_args.", ".")
     return f"{head}.{new}" if new else key
 
 
@@ -94,21 +95,21 @@ def _group(name: str, settings: Any, found: list[str]) -> Any:
     return {table.get(key, key): value for key, value in settings.items()}
 
 
-def _table(place: str, part: Mapping[str, Any]) -> Mapping[str, str]:
+def _table(place: str, class_path: str) -> Mapping[str, str]:
     """Places of the old settings of a policy or phase now; they depend on its class."""
-    kind = str(part.get("class_path", "")).rpartition(".")[2]
+    kind = class_path.rpartition(".")[2]
     if place == "policy":
         return {"clip": ""} if kind in ("GamaPolicy", "CdilPolicy") else POLICY
-    special = {"": ALIGNMENT, "Alignment": ALIGNMENT, "StateOnlyAlignment": ALIGNMENT, "CdilAlignment": CDIL}
+    special = {"Alignment": ALIGNMENT, "StateOnlyAlignment": ALIGNMENT, "CdilAlignment": CDIL}
     return {**PHASE, **special.get(kind, {})}
 
 
-def _part(part: Mapping[str, Any], place: str, found: list[str]) -> Tree:
+def _part(part: Mapping[str, Any], place: str, kind: str, found: list[str]) -> Tree:
     """A policy or a phase in today's names."""
     said = part.get("init_args")
     if not isinstance(said, Mapping):
         return dict(part)
-    table, settings = _table(place, part), dict[str, Any]()
+    table, settings = _table(place, kind), dict[str, Any]()
     words = said.get("terms")
     for key, value in said.items():
         if table.get(key):

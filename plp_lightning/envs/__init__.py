@@ -1,10 +1,11 @@
 """SIMULATORS: one folder a family, stepped in batches behind one small interface; importing them is cheap."""
 
-from plp_lightning.envs.base import Domain, Expert, Simulator
+from plp_lightning.envs.base import Domain, Expert, Simulator, Step
 from plp_lightning.envs.lift import Lift
 from plp_lightning.envs.maze import PointMaze, WalkerMaze
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
 from plp_lightning.envs.tabletop import Reach, Window
+from plp_lightning.envs.tasks import Tasks
 
 __all__ = [
     "Domain",
@@ -15,6 +16,8 @@ __all__ = [
     "PointMaze",
     "Reach",
     "Simulator",
+    "Step",
+    "Tasks",
     "WalkerMaze",
     "Window",
 ]

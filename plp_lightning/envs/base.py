@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from datamodules.errors import UserError
 from datamodules.types import DomainSpec, Observation
+from plp_lightning.envs.tasks import Tasks
 
 
 class Step(NamedTuple):
-    """What one control step brought, a row for each episode that was stepped."""
+    """Result of one control step, a row for each episode that was stepped."""
 
     observation: Observation[np.ndarray]
     """State ``(n, O)`` float32, image ``(n, H, W, C)`` uint8."""
@@ -24,77 +24,27 @@ class Step(NamedTuple):
     """``(n,)`` bool: the simulation diverged or the action was not finite; the episode is over."""
 
 
-@dataclass(frozen=True)
-class FloorPlan:
-    """A domain from above, in the frame of :meth:`Simulator.shared_position`: the first axis down, the second right.
-
-    Args:
-        walls: Centres of the square blocks that walls are made of, ``(W, 2)``.
-        side: Side of a block.
-        goals: Where each task ends.
-        radius: Distance from its goal at which a task is solved.
-    """
-
-    walls: np.ndarray
-    side: float
-    goals: Mapping[str, tuple[float, float]]
-    radius: float
-
-
 class Simulator(ABC):
-    """A domain that can be stepped: E episodes at once, physics on all of its threads.
+    """A domain that can be stepped, E episodes at once: ``tasks``, ``spec``, ``reset`` and ``step`` are all it takes.
 
-    Construction is cheap and the object can be pickled until its first reset, which builds the model.
-    An episode is a pure function of its task, its seed and its actions: neither the number of episodes
-    stepped together nor their order changes it.
+    What it may show beside that, for pictures and scores, is in :mod:`plp_lightning.envs.views`. Construction is cheap
+    and the object can be pickled until its first reset, which builds the model. An episode is a pure function of its
+    task, its seed and its actions: neither the number of episodes stepped together nor their order changes it.
     """
 
-    horizon: int
+    horizon: int = 200
     """Control steps after which an unsolved episode counts as failed."""
-    threads: int
+    threads: int = 0
     """Threads that step physics; 0 means one for each core. May be set until the first reset."""
 
     @property
     @abstractmethod
-    def tasks(self) -> tuple[str, ...]:
-        """Names of all tasks that this simulator knows, in their canonical order."""
-
-    def target_tasks(self, target: str) -> tuple[str, ...]:
-        """Tasks that make up ``target``: itself, or for instance one goal from each start zone."""
-        return (target,)
-
-    def target_of(self, task: str) -> str:
-        """The target that ``task`` is part of, as :meth:`target_tasks` takes it."""
-        return task
-
-    @abstractmethod
-    def proxy_tasks(self, target: str) -> tuple[str, ...]:
-        """Tasks that may align the domains when ``target`` is to be transferred (none of its own)."""
+    def tasks(self) -> Tasks:
+        """The tasks of this domain; an attribute of the class will do."""
 
     @abstractmethod
     def spec(self, name: str) -> DomainSpec:
         """Observation and action space, under the name that the experiment gives this domain."""
-
-    def shared_position(self, state: np.ndarray) -> np.ndarray:
-        """Where raw states ``(N, O)`` are in a frame that all domains of an experiment share, ``(N, P)``.
-
-        Two states of different domains correspond if they are at the same place; alignment scores use it.
-
-        Raises:
-            UserError: If nothing of the kind is known for this simulator.
-        """
-        raise UserError(f"{type(self).__name__} knows no position that domains share; choose another --score")
-
-    def arrangement(self, task: str, seed: int) -> str | None:
-        """What an episode of ``task`` with ``seed`` holds in which place, in a word, for pictures.
-
-        None if all episodes of a task are arranged alike, but for continuous differences.
-        """
-        return None
-
-    def floor_plan(self) -> FloorPlan | None:
-        """Walls and goals, for pictures; None if this domain can't be drawn from above."""
-        return None
 
     @abstractmethod
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
@@ -109,7 +59,7 @@ class Simulator(ABC):
 
 
 class Expert(ABC):
-    """Who demonstrates: acts on many episodes of one simulator at once, from observations alone."""
+    """Demonstrates: acts on many episodes of one simulator at once, from observations alone."""
 
     @abstractmethod
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:

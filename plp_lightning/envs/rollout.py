@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datamodules.types import Actor
-from plp_lightning.envs.base import Simulator
+from datamodules.types import Actor, Observation
+from plp_lightning.envs.base import Simulator, Step
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """How E episodes ended; row i belongs to the i-th task and seed."""
+    """Outcome of E episodes; row i belongs to the i-th task and seed."""
 
     success: np.ndarray
     """``(E,)`` bool."""
@@ -23,8 +23,26 @@ class Episodes:
     """``(E,)`` int64: control steps until success, the end or divergence."""
 
 
+class Observer:
+    """Hears all of a rollout and changes nothing; a subclass keeps what it wants of it."""
+
+    def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
+        """Hear that E episodes of these tasks and seeds begin, with first observations ``(E, …)``."""
+
+    def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
+        """Hear what ``actions (n, A)`` brought to the ``episodes (n,)`` that still ran."""
+
+    def end(self, outcome: Episodes) -> None:
+        """Hear how the episodes ended."""
+
+
 def rollout(
-    simulator: Simulator, act: Actor, tasks: Sequence[str], seeds: Sequence[int], hold_steps: int = 0
+    simulator: Simulator,
+    act: Actor,
+    tasks: Sequence[str],
+    seeds: Sequence[int],
+    hold_steps: int = 0,
+    observers: Sequence[Observer] = (),
 ) -> Episodes:
     """Run one episode for each (task, seed).
 
@@ -34,14 +52,20 @@ def rollout(
         tasks: Task of each episode.
         seeds: Seed of each episode.
         hold_steps: Control steps for which an episode goes on after its first success.
+        observers: Hear everything, the observations after the last actions included.
     """
     observation = simulator.reset(tasks, seeds)
+    for observer in observers:
+        observer.begin(tasks, seeds, observation)
     running = np.arange(len(tasks))
     solved_at = np.full(len(tasks), simulator.horizon + 1)
     invalid = np.zeros(len(tasks), dtype=bool)
     steps = np.full(len(tasks), simulator.horizon)
     for t in range(1, simulator.horizon + 1):
-        step = simulator.step(act(observation, running), running)
+        actions = act(observation, running)
+        step = simulator.step(actions, running)
+        for observer in observers:
+            observer.step(actions, step, running)
         solved_at[running[step.success]] = np.minimum(solved_at[running[step.success]], t)
         invalid[running] = step.invalid
         goes_on = ~step.invalid & (t < solved_at[running] + hold_steps)
@@ -50,4 +74,7 @@ def rollout(
         if len(running) == 0:
             break
     success = (solved_at <= simulator.horizon) & ~invalid
-    return Episodes(success, invalid, np.where(success, solved_at, steps))
+    outcome = Episodes(success, invalid, np.where(success, solved_at, steps))
+    for observer in observers:
+        observer.end(outcome)
+    return outcome

@@ -18,6 +18,7 @@ from datamodules.errors import UserError
 from datamodules.streams import EpisodeStream, episode_generator, start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
+from plp_lightning.envs.tasks import Tasks
 
 GOALS = 8
 """Goals on the unit circle; a task is one of them."""
@@ -36,6 +37,7 @@ class LinearPoint(Simulator):
         horizon: Control steps of an episode.
     """
 
+    tasks = Tasks("LinearPoint", tuple(f"goal_{i}" for i in range(GOALS)))
     threads = 1
 
     def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40) -> None:
@@ -45,17 +47,6 @@ class LinearPoint(Simulator):
         self.shift = rng.normal(size=state_size)
         angle = rng.uniform(0, 2 * np.pi)
         self.rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """``goal_0`` to ``goal_7``, counter-clockwise."""
-        return tuple(f"goal_{i}" for i in range(GOALS))
-
-    def proxy_tasks(self, target: str) -> tuple[str, ...]:
-        """All other goals."""
-        if target not in self.tasks:
-            raise UserError(f"unknown task {target!r}; the tasks are {', '.join(self.tasks)}")
-        return tuple(task for task in self.tasks if task != target)
 
     def spec(self, name: str) -> DomainSpec:
         """The lifted position; two actions."""
@@ -73,7 +64,7 @@ class LinearPoint(Simulator):
 
     def goal(self, task: str) -> np.ndarray:
         """The task's goal in the plane."""
-        angle = 2 * np.pi * self.tasks.index(task) / GOALS
+        angle = 2 * np.pi * self.tasks.names.index(task) / GOALS
         return np.array([np.cos(angle), np.sin(angle)])
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
@@ -107,16 +98,13 @@ class SeenPoint(LinearPoint):
         image_size: Height and width of an image, pixels.
     """
 
+    tasks = Tasks("SeenPoint", ("red", "green", "blue"))
+
     def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40, image_size: int = 16) -> None:
         super().__init__(map_seed, state_size, horizon)
         self.image_size = image_size
         angle = np.random.default_rng([map_seed, 1]).uniform(0, 2 * np.pi)
         self.view = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """Colours of the goals."""
-        return ("red", "green", "blue")
 
     def spec(self, name: str) -> DomainSpec:
         """The lifted position and an image; two actions."""
@@ -131,8 +119,8 @@ class SeenPoint(LinearPoint):
         return np.array([places[episode_generator(seed, EpisodeStream.SPOTS).permutation(3)] for seed in seeds])
 
     def goals_of(self, tasks: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
-        """Where the spots of the tasks' colours are, ``(E, 2)``."""
-        return self.spots(seeds)[np.arange(len(tasks)), [self.tasks.index(task) for task in tasks]]
+        """Places of the spots in the tasks' colours, ``(E, 2)``."""
+        return self.spots(seeds)[np.arange(len(tasks)), [self.tasks.names.index(task) for task in tasks]]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Points near the centre, spots in an order of their own."""

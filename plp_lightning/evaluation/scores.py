@@ -18,6 +18,7 @@ from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
+from plp_lightning.envs.views import located
 from plp_lightning.evaluation.alignment import closeness, top_accuracy
 from plp_lightning.evaluation.simulation import EvalSetting
 from plp_lightning.methods.policy import AligningPolicy
@@ -110,7 +111,7 @@ class ClosenessScore(AlignmentScore):
         states: Mapping[str, Observation[Tensor]],
     ) -> float:
         latents = [encode(policy, domain, seen) for domain, seen in states.items()]
-        places = [torch.from_numpy(simulators[d].shared_position(seen.state.numpy())) for d, seen in states.items()]
+        places = [torch.from_numpy(places_of(simulators[domain], seen)) for domain, seen in states.items()]
         return float(closeness(*latents, *places))
 
     def correspondences(
@@ -119,7 +120,7 @@ class ClosenessScore(AlignmentScore):
         """Source states, each with a target state of its own so near that all gaps together are smallest."""
         source, target = data.source_domain, data.target_domain
         few, many = sample_states(data, source, count), sample_states(data, target, self.samples)
-        here, there = (simulators[d].shared_position(o.state.numpy()) for d, o in ((source, few), (target, many)))
+        here, there = places_of(simulators[source], few), places_of(simulators[target], many)
         gaps = np.linalg.norm(here[:, None] - there[None], axis=2)
         rows, columns = (torch.from_numpy(found) for found in linear_sum_assignment(gaps))
         return {source: few.take(rows), target: many.take(columns)}
@@ -170,6 +171,11 @@ class PairAccuracy(AlignmentScore):
 def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray:
     """How ``other`` shows what ``maze`` shows as ``state (N, 4)``."""
     return other.states_of_domain(maze.states_in_maze(state))
+
+
+def places_of(simulator: Simulator, seen: Observation[Tensor]) -> np.ndarray:
+    """Places ``(N, P)`` of states in the frame that the simulators share."""
+    return located(simulator).shared_position(seen.state.numpy())
 
 
 def sample_states(data: TransferDataModule, domain: str, count: int) -> Observation[Tensor]:

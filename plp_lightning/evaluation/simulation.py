@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from datamodules.streams import Purpose, episode_seed
 from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
-from plp_lightning.envs.rollout import Episodes, rollout
+from plp_lightning.envs.rollout import Episodes, Observer, rollout
+from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.statistics import success_interval
 
 
@@ -17,40 +18,46 @@ class Acting(Protocol):
     """All that an evaluation asks of a policy."""
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
-        """Who acts in episodes of ``tasks`` that begin now."""
+        """The actor in episodes of ``tasks`` that begin now."""
         ...
 
 
 @dataclass(frozen=True)
-class Success:
-    """Outcome of one set of episodes.
+class Outcome:
+    """Result of one set of episodes.
 
     Args:
         success: Share of successful episodes; invalid ones count as failed.
         episodes: How many were run.
         invalid: How many diverged.
         interval: 95 % Wilson interval of the success rate.
+        behaviour: Metrics of behaviour by name, without those that have nothing to tell.
     """
 
     success: float
     episodes: int
     invalid: int
     interval: tuple[float, float]
+    behaviour: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, episodes: Episodes) -> Success:
-        """Count."""
+    def of(cls, episodes: Episodes, metrics: Sequence[BehaviourMetric] = ()) -> Outcome:
+        """Count and measure."""
         count, solved = len(episodes.success), int(episodes.success.sum())
-        return cls(solved / count, count, int(episodes.invalid.sum()), success_interval(solved, count))
+        behaviour = {metric.name: value for metric in metrics if (value := metric.value(episodes)) is not None}
+        invalid, interval = int(episodes.invalid.sum()), success_interval(solved, count)
+        return cls(solved / count, count, invalid, interval, behaviour)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists."""
-        return {**vars(self), "interval": list(self.interval)}
+        """Plain numbers and lists, the metrics of behaviour beside success."""
+        plain = {**vars(self), **self.behaviour, "interval": list(self.interval)}
+        del plain["behaviour"]
+        return plain
 
 
 @dataclass(frozen=True)
 class EvalSetting:
-    """Which episodes to run: a domain and the tasks that take turns in it."""
+    """Episodes to run: a domain and the tasks that take turns in it."""
 
     domain: str
     tasks: tuple[str, ...]
@@ -61,7 +68,15 @@ class EvalSetting:
         return tasks, [episode_seed(purpose, seed, self.domain, t, i // len(self.tasks)) for i, t in enumerate(tasks)]
 
 
-def evaluate(policy: Acting, simulator: Simulator, trial: EvalSetting, episodes: int, seed: int) -> Success:
+def evaluate(
+    policy: Acting,
+    simulator: Simulator,
+    trial: EvalSetting,
+    episodes: int,
+    seed: int,
+    metrics: Sequence[BehaviourMetric] = (),
+    observers: Sequence[Observer] = (),
+) -> Outcome:
     """Run ``episodes`` of a trial at once.
 
     Episode i always begins in the same state for a given seed, whatever else is run.
@@ -72,9 +87,12 @@ def evaluate(policy: Acting, simulator: Simulator, trial: EvalSetting, episodes:
         trial: Domain and tasks.
         episodes: How many; tasks take turns.
         seed: Seed of the run.
+        metrics: Metrics of behaviour.
+        observers: Further observers of these episodes.
     """
     tasks, seeds = trial.in_turn("evaluate", seed, episodes)
-    return Success.of(rollout(simulator, policy.actor(trial.domain, tasks), tasks, seeds))
+    actor = policy.actor(trial.domain, tasks)
+    return Outcome.of(rollout(simulator, actor, tasks, seeds, observers=[*metrics, *observers]), metrics)
 
 
 def evaluate_all(
@@ -83,8 +101,9 @@ def evaluate_all(
     trials: Mapping[str, EvalSetting],
     episodes: int,
     seed: int,
-    recorders: Mapping[str, Simulator] | None = None,
-) -> dict[str, Success]:
+    metrics: Sequence[BehaviourMetric] = (),
+    observers: Mapping[str, Sequence[Observer]] | None = None,
+) -> dict[str, Outcome]:
     """Outcome of every trial, by its name.
 
     Args:
@@ -93,7 +112,11 @@ def evaluate_all(
         trials: By name.
         episodes: Episodes of each trial.
         seed: Seed of the run.
-        recorders: By trial: who stands in for its domain's simulator, to watch these episodes alone.
+        metrics: Metrics of behaviour.
+        observers: By trial: further observers of its episodes.
     """
-    stages = {name: simulators[trial.domain] for name, trial in trials.items()} | dict(recorders or {})
-    return {name: evaluate(policy, stages[name], trial, episodes, seed) for name, trial in trials.items()}
+    watching = observers or {}
+    return {
+        name: evaluate(policy, simulators[trial.domain], trial, episodes, seed, metrics, watching.get(name, ()))
+        for name, trial in trials.items()
+    }

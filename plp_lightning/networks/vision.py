@@ -4,8 +4,7 @@ Outside of these modules images are ``(B, H, W, C)``, as cameras and files have 
 ``channels_last``, so no image is ever transposed.
 """
 
-from __future__ import annotations
-
+# No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -34,7 +33,7 @@ class ImageEncoding(Configured):
     channels: tuple[PositiveInt, ...] = (64, 64, 128, 128, 128)
     features: PositiveInt = 1024
 
-    def build(self, shape: Sequence[int]) -> ImageEncoder:
+    def build(self, shape: Sequence[int]) -> "ImageEncoder":
         """An encoder of images ``(H, W, C)``."""
         return ImageEncoder(shape, self.channels, self.features)
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from lightning.pytorch import Trainer
 
 from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.rollout import Observer
 from plp_lightning.evaluation.simulation import EvalSetting
 from plp_lightning.pictures.film_figure import film_figure, film_frames
 from plp_lightning.pictures.films import FilmRecorder, film_recorders
 from plp_lightning.pictures.path_figure import Panel, path_figure
 from plp_lightning.pictures.paths import PathRecorder, path_recorders
 from plp_lightning.pictures.publish import publish, publish_film
-from plp_lightning.pictures.recorder import Recorder
 
 FILMED = 4
 """Episodes that are filmed for each that is shown, so that there are failures to show."""
@@ -22,7 +22,7 @@ FILMED = 4
 
 @dataclass(frozen=True)
 class EpisodePictures:
-    """Who watches the episodes of the target task, and what becomes of it.
+    """Watches the episodes of the target task, and shows what it saw.
 
     Args:
         titles: By trial.
@@ -51,12 +51,13 @@ class EpisodePictures:
         watched = {name: setting for name, setting in settings.items() if name in ("target", "source")}
         titles = {name: f"{target_task} in {name} domain: {setting.domain}" for name, setting in watched.items()}
         paths = path_recorders(simulators, watched)
-        return cls(titles, paths, film_recorders(simulators, watched, FILMED * shown, paths), shown)
+        return cls(titles, paths, film_recorders(simulators, watched, FILMED * shown), shown)
 
     @property
-    def stages(self) -> dict[str, Recorder]:
-        """By trial: who stands in for its simulator."""
-        return {**self.paths, **self.films}
+    def observers(self) -> dict[str, list[Observer]]:
+        """The recorders by trial."""
+        recorders: list[Mapping[str, Observer]] = [self.paths, self.films]
+        return {name: [found[name] for found in recorders if name in found] for name in self.titles}
 
     def publish(self, trainer: Trainer) -> None:
         """Show what was watched: ``paths`` and ``film`` in TensorBoard, as PNG, and the film as GIF."""

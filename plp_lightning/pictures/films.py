@@ -1,16 +1,16 @@
-"""What the cameras saw of episodes: a simulator that keeps the images of the first few."""
+"""Films of episodes: an observer that keeps the images of the first few."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from datamodules.types import Observation
-from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.rollout import Episodes, Observer
 from plp_lightning.evaluation.simulation import EvalSetting
-from plp_lightning.pictures.recorder import Recorder
 
 
 class Film(NamedTuple):
@@ -22,28 +22,37 @@ class Film(NamedTuple):
     """``(T + 1, H, W, 3)`` uint8."""
 
 
-class FilmRecorder(Recorder):
-    """Stands in for a simulator with a camera and keeps the images of its newest episodes, as far as there is room.
+class FilmRecorder(Observer):
+    """Keeps the images of the newest episodes of a domain with a camera, as far as there is room.
 
     Args:
-        simulator: Who simulates.
         most: Only so many episodes are filmed, the first ones; they bound the memory that is taken.
     """
 
-    def __init__(self, simulator: Simulator, most: int) -> None:
-        super().__init__(simulator)
+    def __init__(self, most: int) -> None:
         self.most = most
 
+    def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
+        """Forget earlier episodes, and keep how these begin."""
+        self._tasks, self._success = tuple(tasks), np.zeros(len(tasks), dtype=np.bool_)
+        self._images: list[list[np.ndarray]] = [[] for _ in self._tasks[: self.most]]
+        self._keep(observation, np.arange(len(tasks)))
+
+    def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
+        """Keep what the cameras see now."""
+        self._keep(step.observation, episodes)
+
+    def end(self, outcome: Episodes) -> None:
+        """Keep which episodes succeeded."""
+        self._success = outcome.success
+
     def films(self, count: int) -> list[Film]:
-        """``count`` of the filmed episodes since the last reset, failures first; fewer if there are not as many."""
+        """``count`` of the filmed episodes, failures first; fewer if there are not as many."""
         found = [
             Film(task, bool(success), np.stack(images))
             for task, success, images in zip(self._tasks, self._success, self._images, strict=False)
         ]
         return sorted(found, key=lambda film: film.success)[:count]
-
-    def _forget(self) -> None:
-        self._images: list[list[np.ndarray]] = [[] for _ in self._tasks[: self.most]]
 
     def _keep(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
         assert observation.image is not None, "expected a simulator with a camera"
@@ -53,10 +62,7 @@ class FilmRecorder(Recorder):
 
 
 def film_recorders(
-    simulators: Mapping[str, Simulator],
-    trials: Mapping[str, EvalSetting],
-    most: int,
-    stages: Mapping[str, Simulator] | None = None,
+    simulators: Mapping[str, Simulator], trials: Mapping[str, EvalSetting], most: int
 ) -> dict[str, FilmRecorder]:
     """A recorder for each trial, by its name, whose domain has a camera.
 
@@ -64,11 +70,9 @@ def film_recorders(
         simulators: By domain.
         trials: By name.
         most: Episodes of each trial that are filmed; without any there are no recorders.
-        stages: By trial: recorders that watch these episodes as well.
     """
-    seen = {name: trial for name, trial in trials.items() if _has_camera(simulators[trial.domain], trial.domain)}
-    watched = {name: simulators[trial.domain] for name, trial in seen.items()} | dict(stages or {})
-    return {name: FilmRecorder(watched[name], most) for name in seen if most > 0}
+    seen = [name for name, trial in trials.items() if _has_camera(simulators[trial.domain], trial.domain)]
+    return {name: FilmRecorder(most) for name in seen if most > 0}
 
 
 def _has_camera(simulator: Simulator, domain: str) -> bool:

@@ -15,6 +15,7 @@ from sklearn.manifold import TSNE
 
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.views import Arranged
 from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_rows
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy
@@ -79,15 +80,14 @@ class LatentPicture(Callback):
         publish(trainer, "latents", latent_figure(latents, self._joined(policy, data), kinds))
 
     def _arrangements(self, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[str]:
-        """Of each row's episode; empty if the simulator knows of none."""
-        if domain not in self.simulators:
+        """Arrangement of each row's episode; empty if the simulator knows of none."""
+        dataset, simulator = data.datasets[domain], self.simulators.get(domain)
+        if not isinstance(simulator, Arranged):
             return []
-        dataset, simulator = data.datasets[domain], self.simulators[domain]
         episodes = dataset.episode_of(rows)
         tasks = [data.tasks[i] for i in dataset.episode_task[episodes]]
         seeds = dataset.episode_seed[episodes].tolist()
-        found = [simulator.arrangement(task, seed) for task, seed in zip(tasks, seeds, strict=True)]
-        return [name for name in found if name is not None]
+        return [simulator.arrangement(task, seed) for task, seed in zip(tasks, seeds, strict=True)]
 
     def _joined(self, policy: AligningPolicy, data: TransferDataModule) -> dict[str, np.ndarray]:
         if self.score is None or self.pairs == 0:

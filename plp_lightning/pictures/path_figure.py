@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
-from plp_lightning.envs.base import FloorPlan
+from plp_lightning.envs.views import FloorPlan
 from plp_lightning.pictures.paths import Paths
 
 SOLVED, FAILED, GOAL = "#0072B2", "#D55E00", "#009E73"

@@ -17,7 +17,7 @@ from datamodules.store.atomic import locked_folder, replacing
 
 DPI = 120
 FRAME_TIME, LAST_FRAME_TIME = 50, 1000
-"""How long a frame of a moving picture stays, ms."""
+"""Time that a frame of a moving picture stays, ms."""
 
 
 def publish(trainer: Trainer, name: str, figure: Figure) -> None:

@@ -1,4 +1,4 @@
-"""What cameras saw, beside what the latent states have kept of it: in TensorBoard and in the run directory."""
+"""Images of cameras, beside what the latent states have kept of it: in TensorBoard and in the run directory."""
 
 from __future__ import annotations
 

@@ -6,64 +6,27 @@ import itertools
 import multiprocessing
 import shlex
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from datamodules.errors import UserError
-from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.store.writer import TrajectoryFile, add_trajectories
 from datamodules.streams import EpisodeStream, episode_generator, episode_seed
 from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.base import Domain, Simulator
-from plp_lightning.envs.rollout import rollout
+from plp_lightning.envs.base import Domain, Step
+from plp_lightning.envs.rollout import Observer, rollout
 from plp_lightning.envs.threads import available_cores
-from plp_lightning.pictures.recorder import Recorder
+from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.runs.versions import versions
 
 _domains: Mapping[str, Domain] = {}
 """In a collecting process: the experiment's domains, whose simulators are built once for each process."""
-
-
-@dataclass(frozen=True)
-class CollectionConfig(Configured):
-    """Recipe of demonstrations.
-
-    Args:
-        processes: Processes that collect; 0 means one for each core.
-        hold_steps: Control steps that are recorded after success, so that the end is held.
-        noise: Standard deviation of noise on executed actions; the recorded action stays the expert's.
-        random_start_steps: Control steps of one random action before the expert takes over, which are not recorded,
-            so that demonstrations begin in many places.
-        seed: Seed of all initial states. It is no part of a run's seed: runs share their data.
-        attempts: Attempts for each wanted demonstration before the expert is called unfit.
-    """
-
-    processes: NonNegativeInt = 0
-    hold_steps: NonNegativeInt = 5
-    noise: NonNegativeFloat = 0.0
-    random_start_steps: NonNegativeInt = 0
-    seed: NonNegativeInt = 0
-    attempts: PositiveInt = 3
-
-    def differences(self, other: Mapping[str, object]) -> dict[str, tuple[object, object]]:
-        """Settings in which the demonstrations of another recipe, from a file, differ from this one's: (its own, ours).
-
-        Settings that the other recipe lacks had their defaults.
-        """
-        known = {RENAMED.get(name, name): value for name, value in other.items()}
-        pairs = {name: (known.get(name, getattr(CollectionConfig, name)), getattr(self, name)) for name in DECISIVE}
-        return {name: (found, own) for name, (found, own) in pairs.items() if found != own}
-
-
-DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
-"""Settings of a recipe that decide what its demonstrations hold."""
-RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}  # Settings that are called otherwise in older files
 
 
 @dataclass(frozen=True)
@@ -105,7 +68,7 @@ class ExpertCollector:
             raise
         finally:
             if made:
-                add_trajectories(path, specs, first.tasks, made, self._provenance())
+                add_trajectories(path, specs, first.tasks.names, made, self._provenance())
 
     def check(self, path: Path) -> None:
         """Refuse a file whose demonstrations another recipe made: who changes a setting means to see its effect.
@@ -188,92 +151,66 @@ def demonstrate(job: Job, recipe: CollectionConfig) -> list[Trajectory]:
 def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Trajectory]:
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
-    demonstrator = Demonstrator(domain, tasks, seeds, recipe.noise, recipe.random_start_steps)
-    heard = Heard(domain.simulator, demonstrator)
-    episodes = rollout(heard, demonstrator.act, tasks, seeds, recipe.hold_steps)
+    demonstrator = Demonstrator(domain, recipe.noise, recipe.random_start_steps)
+    episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.hold_steps, [demonstrator])
     solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.random_start_steps))
-    return [
-        Trajectory(job.domain, job.task, *demonstrator.episode(int(i)), seed=seeds[int(i)], success=True)
-        for i in solved
-    ]
+    return [_trajectory(job, demonstrator, int(i)) for i in solved]
 
 
-class Demonstrator:
-    """Lets an expert act and writes down what it saw and did.
+def _trajectory(job: Job, demonstrator: Demonstrator, index: int) -> Trajectory:
+    seed = demonstrator.seeds[index]
+    return Trajectory(job.domain, job.task, *demonstrator.episode(index), seed=seed, success=True)
+
+
+class Demonstrator(Observer):
+    """Lets an expert act, hears what comes of it, and writes down all that was seen and what the expert wanted.
 
     Args:
         domain: Who acts, and where.
-        tasks: Task of each episode.
-        seeds: Seed of each episode, also of its noise.
         noise: Standard deviation of noise on the executed action.
         random_start_steps: Control steps before the expert takes over, in which each episode repeats a random action.
     """
 
-    def __init__(
-        self, domain: Domain, tasks: list[str], seeds: list[int], noise: float, random_start_steps: int = 0
-    ) -> None:
+    def __init__(self, domain: Domain, noise: float, random_start_steps: int = 0) -> None:
         assert domain.expert is not None
-        self.expert, self.noise, self.random_start_steps = domain.expert, noise, random_start_steps
-        self.simulator, self.tasks, self.seeds = domain.simulator, tasks, seeds
-        self.generators = [episode_generator(seed, EpisodeStream.ACTION_NOISE) for seed in seeds]
-        self.steps: list[tuple[np.ndarray, Observation[np.ndarray], np.ndarray]] = []
-        self.last: Observation[np.ndarray] | None = None
+        self.simulator, self.expert = domain.simulator, domain.expert
+        self.noise, self.random_start_steps = noise, random_start_steps
 
-    @cached_property
-    def drifts(self) -> np.ndarray:
-        """``(E, A)``: the random action of each episode before the expert takes over."""
+    def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
+        """Forget everything but how the episodes begin; seeds are also those of noise and random actions."""
+        self.expert.begin(self.simulator, tasks, seeds)
         size = self.simulator.spec("").action_size
-        drifts = [episode_generator(seed, EpisodeStream.RANDOM_START).uniform(-1, 1, size) for seed in self.seeds]
-        return np.array(drifts, dtype=np.float32)
+        drifts = [episode_generator(seed, EpisodeStream.RANDOM_START).uniform(-1, 1, size) for seed in seeds]
+        self.seeds, self.drifts = seeds, np.array(drifts, dtype=np.float32)
+        self.generators = [episode_generator(seed, EpisodeStream.ACTION_NOISE) for seed in seeds]
+        self.drifting = self.random_start_steps
+        self.seen = [(np.arange(len(tasks)), observation)]
+        self.wanted: list[tuple[np.ndarray, np.ndarray]] = []
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """The expert's actions, with noise if asked for; before it takes over, the episodes' own random ones."""
-        if self.random_start_steps > 0:
-            self.random_start_steps -= 1
+        if self.drifting > 0:
             drifting: np.ndarray = self.drifts[episodes]
             return drifting
-        if not self.steps:
-            self.expert.begin(self.simulator, self.tasks, self.seeds)
         actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
-        self.steps.append((episodes, observation, actions))
+        self.wanted.append((episodes, actions))
         if self.noise == 0:
             return actions
         shaken = [self.generators[e].normal(0, self.noise, actions.shape[1]) for e in episodes]
         noisy: np.ndarray = np.clip(actions + np.array(shaken, dtype=np.float32), -1, 1)
         return noisy
 
-    def hear(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
-        """Keep what ``episodes (n,)`` show now, at first all of them; what an episode shows at its end stays."""
-        self.last = observation.map(np.copy) if self.last is None else self.last
-        for kept, shown in zip(self.last, observation, strict=True):
-            if kept is not None:
-                kept[episodes] = shown
+    def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
+        """Write down what the episodes show now; while they drift, only that."""
+        if self.drifting > 0:
+            self.drifting -= 1
+            self.seen.clear()
+        self.seen.append((episodes, step.observation))
 
     def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
-        """Observations ``(T + 1, …)`` and actions ``(T, A)`` of one episode."""
-        assert self.last is not None, "an episode shows something before it is over"
-        spots = [(step, np.searchsorted(step[0], index)) for step in self.steps]
-        rows = [(obs.take(i), actions[i]) for (ids, obs, actions), i in spots if i < len(ids) and ids[i] == index]
-        seen = [*(obs for obs, _ in rows), self.last.take(index)]
-        images = [obs.image for obs in seen if obs.image is not None]
-        observation = Observation(np.stack([obs.state for obs in seen]), np.stack(images) if images else None)
-        return observation, np.stack([action for _, action in rows])
-
-
-class Heard(Recorder):
-    """Lets a demonstrator hear what its episodes show after each step, the last one included.
-
-    Args:
-        simulator: Who simulates.
-        demonstrator: Who acts.
-    """
-
-    def __init__(self, simulator: Simulator, demonstrator: Demonstrator) -> None:
-        super().__init__(simulator)
-        self.demonstrator = demonstrator
-
-    def _forget(self) -> None:
-        self.demonstrator.last = None
-
-    def _keep(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
-        self.demonstrator.hear(observation, episodes)
+        """Observations ``(T + 1, …)``, the last after the last action, and actions ``(T, A)`` of one episode."""
+        seen = [observation.take(i) for episodes, observation in self.seen for i in np.flatnonzero(episodes == index)]
+        actions = [wanted[episodes == index] for episodes, wanted in self.wanted]
+        images = [observation.image for observation in seen if observation.image is not None]
+        states = np.stack([observation.state for observation in seen])
+        return Observation(states, np.stack(images) if images else None), np.concatenate(actions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,44 +12,17 @@ from lightning.pytorch import Callback
 
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
-from datamodules.settings import Configured, NonNegativeInt, PositiveInt
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Domain, Simulator
+from plp_lightning.envs.rollout import Observer
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.evaluation.simulation import EvalSetting, Success, evaluate_all
+from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
+from plp_lightning.runs.plans import EvaluationPlan
 
 PolicyFactory = Callable[[TransferProblem], Policy]
 PhaseFactory = Callable[[Policy], Phase[Any]]
-
-
-@dataclass(frozen=True)
-class EvaluationPlan(Configured):
-    """When and how much to evaluate in the simulators.
-
-    Args:
-        every_n_epochs: Epochs between two evaluations, by phase; 0 leaves it to the end. A phase that is not
-            named is evaluated whenever that takes under a tenth of the time trained since the last evaluation.
-        episodes: Episodes of each trial in these.
-        final_episodes: Episodes of each trial at the end of a phase.
-        score_every_n_epochs: Epochs between two alignment scores.
-        latent_states: States of each domain in the picture of the latent space; 0 draws none.
-        latent_every_n_epochs: Epochs between two of these pictures; 0 draws one at the end of a phase only.
-        latent_pairs: Corresponding states that are joined in them.
-        reconstructions: Images of each domain in the picture of reconstructions; 0 draws none.
-        films: Episodes of the target task in each domain's film, failures first; 0 films none.
-    """
-
-    every_n_epochs: dict[str, NonNegativeInt] = field(default_factory=dict)
-    episodes: PositiveInt = 20
-    final_episodes: PositiveInt = 100
-    score_every_n_epochs: NonNegativeInt = 5
-    latent_states: NonNegativeInt = 500
-    latent_every_n_epochs: NonNegativeInt = 0
-    latent_pairs: NonNegativeInt = 20
-    reconstructions: NonNegativeInt = 8
-    films: NonNegativeInt = 6
 
 
 @dataclass(frozen=True)
@@ -105,19 +78,20 @@ class Experiment:
         policy: Policy,
         episodes: int | None = None,
         seed: int | None = None,
-        recorders: Mapping[str, Simulator] | None = None,
-    ) -> dict[str, Success]:
+        observers: Mapping[str, Sequence[Observer]] | None = None,
+    ) -> dict[str, Outcome]:
         """Outcome of every trial of a policy at the end of training.
 
         Args:
             policy: The trained policy, in eval mode.
             episodes: Episodes of each trial; those of the plan if not given.
             seed: Seed of the initial states; that of the run if not given.
-            recorders: By trial: who stands in for its simulator, see :func:`evaluate_all`.
+            observers: By trial: further observers of its episodes.
         """
         episodes = self.evaluation.final_episodes if episodes is None else episodes
         seed = self.seed if seed is None else seed
-        return evaluate_all(policy, self.simulators, self.eval_settings_of(policy), episodes, seed, recorders)
+        settings, metrics = self.eval_settings_of(policy), self.evaluation.metrics
+        return evaluate_all(policy, self.simulators, settings, episodes, seed, metrics, observers)
 
     def alignment(self, policy: Policy) -> dict[str, float]:
         """Alignment scores of a policy at the end of a phase; empty without a score or anything to score."""

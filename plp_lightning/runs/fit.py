@@ -155,7 +155,8 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: 
     found: list[Callback] = [FreezeGuard(), FiniteGuard(), RandomState()]
     if phase.policy_acts:
         settings, every = experiment.eval_settings_of(phase.policy), plan.every_n_epochs.get(name)
-        found.append(SimulatorEvaluation(simulators, settings, plan.episodes, every, experiment.seed))
+        evaluation = simulators, settings, plan.episodes, every, experiment.seed, plan.metrics
+        found.append(SimulatorEvaluation(*evaluation))
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
     if plan.latent_states > 0:
@@ -177,7 +178,7 @@ def assess(experiment: Experiment, phase: Phase, trainer: Trainer) -> dict[str, 
 def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, dict[str, Any]]:
     settings, shown = experiment.eval_settings_of(policy), experiment.evaluation.films
     pictures = EpisodePictures.of(experiment.simulators, settings, experiment.data.target_task, shown)
-    outcomes = experiment.evaluate(policy, recorders=pictures.stages)
+    outcomes = experiment.evaluate(policy, observers=pictures.observers)
     pictures.publish(trainer)
     return {name: found.to_dict() for name, found in outcomes.items()}
 

@@ -18,8 +18,7 @@ from torch.optim import Optimizer
 
 from datamodules.amounts import DataSettings
 from datamodules.settings import Configured
-from plp_lightning.runs.collection import CollectionConfig
-from plp_lightning.runs.experiment import EvaluationPlan
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 GROUPS = dict[str, type](data=DataSettings, collection=CollectionConfig, evaluation=EvaluationPlan, trainer=Trainer)
 """Classes behind the keys that name none."""

@@ -33,7 +33,7 @@ def test_ways_become_demonstrations_of_our_tasks(tmp_path, source):
     assert "3 demonstrations of 3 tasks imported; none dropped" in answer.out
     with TrajectoryFile.open(tmp_path / "new" / "x.hdf5") as file:
         assert file.domains == (PointMaze("umaze").spec("point"),)
-        assert file.tasks == PointMaze("umaze").tasks
+        assert file.tasks == PointMaze("umaze").tasks.names
         found = [file.trajectory("point", i) for i in range(3)]
     # (1, 1) and (1, 2) are in zone 0, the corner (3, 3) in zone 1.
     assert {(t.task, t.seed, t.success) for t in found} == {

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from datamodules.errors import UserError
-from plp_lightning.envs.lift.simulator import TASKS, Lift, Robot
+from plp_lightning.envs.lift.simulator import Lift
+from plp_lightning.envs.lift.tasks import TASKS, Robot, block_place
 
 ROOT = Path(__file__).parents[2]
 ROBOTS: tuple[Robot, ...] = get_args(Robot)
@@ -45,20 +46,19 @@ def random_actions(steps: int, episodes: int, seed: int = 0) -> np.ndarray:
 
 
 def test_tasks_span_the_grid() -> None:
-    tasks = Lift("Sawyer").tasks
+    tasks = Lift("Sawyer").tasks.names
     assert len(tasks) == 27
     assert (tasks[0], tasks[1], tasks[-1]) == ("x0y0h0", "x0y0h1", "x2y2h2")
-    np.testing.assert_allclose(Lift("UR5e").block("x0y2h1"), [-0.08, 0.12, 0.87])
-    np.testing.assert_allclose(Lift("UR5e").block("x2y1h0"), [0.08, 0.0, 0.82])
+    np.testing.assert_allclose(block_place("x0y2h1"), [-0.08, 0.12, 0.87])
+    np.testing.assert_allclose(block_place("x2y1h0"), [0.08, 0.0, 0.82])
 
 
 @pytest.mark.parametrize("target", ["x0y0h0", "x1y1h1", "x2y1h0"])
 def test_proxies_share_neither_height_nor_position(target: str) -> None:
-    lift = Lift("Sawyer")
-    at = lift.block(target)
-    apart = {t for t in TASKS if lift.block(t)[2] != at[2] and tuple(lift.block(t)[:2]) != tuple(at[:2])}
+    at, places = block_place(target), {task: block_place(task) for task in TASKS.names}
+    apart = {task for task, place in places.items() if place[2] != at[2] and tuple(place[:2]) != tuple(at[:2])}
     assert len(apart) == 16
-    assert set(lift.proxy_tasks(target)) == apart
+    assert set(TASKS.proxies(target)) == apart
 
 
 def test_spec_names_the_published_state_sizes() -> None:
@@ -68,10 +68,11 @@ def test_spec_names_the_published_state_sizes() -> None:
     assert tuple(key.name for key in spec.state_keys) == KEYS
 
 
-@pytest.mark.parametrize("method", ["proxy_tasks", "block"])
-def test_unknown_task_is_named_with_a_hint(method: str) -> None:
+def test_unknown_task_is_named_with_a_hint() -> None:
     with pytest.raises(UserError, match=r"no task 'x3y0h0' in R2R-Lift; .*did you mean 'x\dy0h0'"):
-        getattr(Lift("Sawyer"), method)("x3y0h0")
+        block_place("x3y0h0")
+    with pytest.raises(UserError, match=r"no target 'x3y0h0' in R2R-Lift; .*did you mean 'x\dy0h0'"):
+        TASKS.proxies("x3y0h0")
     with pytest.raises(UserError, match="no task 'lift'"):
         Lift("Sawyer").reset(["x0y0h0", "lift"], [0, 1])
 
@@ -114,9 +115,9 @@ def test_import_is_light_and_the_build_leaves_no_trace(tmp_path: Path) -> None:
 def robosuite_twin(lift: Lift) -> Any:
     """robosuite's environment in the state of the simulator's first episode, hand pointing down."""
     from plp_lightning.envs.lift.model import robosuite_env
-    from plp_lightning.envs.lift.osc import DOWN, STATE
+    from plp_lightning.envs.lift.osc import DOWN
+    from plp_lightning.envs.native import STATE
 
-    assert lift._physics is not None
     episodes, env = lift._physics.episodes, robosuite_env(lift.robot)
     env.reset()
     put = partial(mujoco.mj_setState, env.sim.model._model, env.sim.data._data, episodes.state[0], STATE)
@@ -213,10 +214,8 @@ def test_only_the_bad_episode_becomes_invalid(robot: Robot, tmp_path: Path, monk
     lift, rows = simulator(robot, threads=2), np.arange(6)
     good = run(lift, EPISODES, np.zeros((2, 6, 4)))
     first = begin(lift, EPISODES)
-    assert lift._physics is not None
-    model, states = lift._physics.lift.model, lift._physics.episodes.state
-    speeds = slice(1 + model.nq, 1 + model.nq + model.nv)
-    states[3, speeds], states[5, speeds] = 5e3, np.nan
+    engine = lift._physics
+    engine.states[3, engine.qvel], engine.states[5, engine.qvel] = 5e3, np.nan
     actions = np.zeros((6, 4))
     actions[1, 0], actions[4, 3] = np.nan, -np.inf
     for expected in good[1:]:
@@ -238,11 +237,10 @@ def test_sawyers_first_joint_moves() -> None:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_blocks_rest_where_their_tasks_say_and_are_not_yet_lifted(robot: Robot) -> None:
     lift = simulator(robot)
-    lift.reset(lift.tasks, [0] * 27)
+    lift.reset(TASKS.names, [0] * 27)
     for _ in range(3):
         step = lift.step(np.zeros((27, 4)), np.arange(27))
-    assert lift._physics is not None
-    heights = [lift.block(task)[2] for task in lift.tasks]
+    heights = [block_place(task)[2] for task in TASKS.names]
     np.testing.assert_allclose(lift._physics.episodes.block_z, heights, atol=5e-4)
     assert not step.success.any()
 

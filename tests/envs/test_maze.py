@@ -35,12 +35,12 @@ def test_equals_gymnasium_robotics_step_by_step(name):
 
     maze: Maze = MAZES[name]()
     env, body = environment(name)
-    first = maze.reset([maze.tasks[5]], [3]).state[0]
+    first = maze.reset([maze.tasks.names[5]], [3]).state[0]
     env.reset(seed=0)
     mujoco.mj_resetData(body.model, body.data)
     size = body.model.nq
     # The simulator's own start in double precision: the observation has been rounded.
-    start = maze.frame.centres(maze._start(maze.layout.starts(maze.layout.task(maze.tasks[5])), 3))
+    start = maze.frame.centres(maze._start(maze.layout.starts(maze.layout.task(maze.tasks.names[5])), 3))
     body.set_state(np.r_[start, body.init_qpos[2:]], np.zeros(body.model.nv))
     np.testing.assert_array_equal(first[:size], body.data.qpos.astype(np.float32))
     rng, touched = np.random.default_rng(1), 0
@@ -108,7 +108,7 @@ def test_d4rl_frames_by_hand():
 @pytest.mark.parametrize("kind", [PointMaze, WalkerMaze])
 def test_starts_lie_in_the_zone_and_off_the_goal(kind, frame):
     maze = kind("medium", frame=frame)
-    tasks = [task for task in maze.tasks for _ in range(3)]
+    tasks = [task for task in maze.tasks.names for _ in range(3)]
     cells = maze.shared_position(maze.reset(tasks, range(len(tasks))).state)
     assert np.abs(cells - np.rint(cells)).max() <= 0.25 + 1e-6
     for name, cell in zip(tasks, np.rint(cells).astype(int), strict=True):
@@ -117,7 +117,7 @@ def test_starts_lie_in_the_zone_and_off_the_goal(kind, frame):
 
 def place(maze: Maze, cell: tuple[float, float]) -> None:
     """Put episode 0 somewhere, at rest."""
-    maze._states[0, maze._physics.qpos][:2] = maze.frame.centres(np.array(cell))
+    maze._physics.states[0, maze._physics.qpos][:2] = maze.frame.centres(np.array(cell))
 
 
 def test_success_is_half_a_cell_around_the_goal():
@@ -198,7 +198,7 @@ def test_can_be_pickled_before_the_first_reset():
 def test_listing_tasks_needs_no_physics():
     code = (
         "import sys; from plp_lightning.envs.maze.simulator import PointMaze;"
-        "PointMaze('medium').proxy_tasks('goal_6_6');"
+        "PointMaze('medium').tasks.proxies('goal_6_6');"
         "sys.exit(bool({'mujoco', 'numba', 'networkx', 'torch'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -27,10 +27,10 @@ def flood(layout: Layout, goal: Cell) -> dict[Cell, int]:
 def test_cells_and_tasks_are_as_many_as_in_the_paper():
     umaze, medium = LAYOUTS["umaze"], LAYOUTS["medium"]
     assert (len(umaze.cells), len(medium.cells)) == (7, 26)
-    assert len(umaze.tasks) == 21
-    assert len([task for task in medium.tasks.values() if not task.avoid]) == 104
-    assert len(umaze.proxy_tasks("goal_1_1")) == 18
-    assert len(medium.proxy_tasks("goal_6_6")) == 100
+    assert len(umaze.tasks.names) == 21
+    assert len([task for task in medium.by_name.values() if not task.avoid]) == 104
+    assert len(umaze.tasks.proxies("goal_1_1")) == 18
+    assert len(medium.tasks.proxies("goal_6_6")) == 100
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -44,8 +44,8 @@ def test_drawings_are_those_of_gymnasium_robotics(name):
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 def test_zones_share_out_the_free_cells(layout):
     assert sorted(cell for zone in layout.zones for cell in zone) == sorted(layout.cells)
-    assert all(layout.starts(task) for task in layout.tasks.values())
-    assert all(task.goal not in layout.starts(task) for task in layout.tasks.values())
+    assert all(layout.starts(task) for task in layout.by_name.values())
+    assert all(task.goal not in layout.starts(task) for task in layout.by_name.values())
 
 
 def test_medium_zones_are_its_quadrants():
@@ -55,7 +55,7 @@ def test_medium_zones_are_its_quadrants():
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 def test_routes_are_shortest_paths(layout):
-    for task in layout.tasks.values():
+    for task in layout.by_name.values():
         if not task.avoid:
             distance = flood(layout, task.goal)
             assert all(len(walk(layout, task, cell)) - 1 == distance[cell] for cell in layout.cells)
@@ -82,24 +82,25 @@ def test_no_short_way_meets_a_detour():
 
 def test_target_is_a_goal_a_detour_or_a_task():
     umaze, medium = LAYOUTS["umaze"], LAYOUTS["medium"]
-    assert umaze.target_tasks("goal_3_1") == ("s0_g_3_1", "s1_g_3_1", "s2_g_3_1")
-    assert medium.target_tasks("detour_6_1") == ("detour_6_1",)
-    assert umaze.target_tasks("s1_g_3_1") == ("s1_g_3_1",)
+    assert umaze.tasks.of("goal_3_1") == ("s0_g_3_1", "s1_g_3_1", "s2_g_3_1")
+    assert medium.tasks.of("detour_6_1") == ("detour_6_1",)
+    assert umaze.tasks.of("s1_g_3_1") == ("s1_g_3_1",)
 
 
 @pytest.mark.parametrize("target", ["goal_6_1", "detour_6_1", "s2_g_6_1"])
 def test_proxies_are_short_ways_to_other_goals(target):
     medium = LAYOUTS["medium"]
-    proxy_tasks = medium.proxy_tasks(target)
+    proxy_tasks = medium.tasks.proxies(target)
     assert len(proxy_tasks) == 100
     assert all(medium.task(name).goal != (6, 1) and not medium.task(name).avoid for name in proxy_tasks)
 
 
 def test_unknown_names_are_answered_with_known_ones():
-    with pytest.raises(ConfigError, match=r"unknown maze task 's9_g_1_1'; expected one of the 21 from s0_g_1_1 to"):
-        LAYOUTS["umaze"].task("s9_g_1_1")
-    with pytest.raises(ConfigError, match=r"unknown maze target 'goal_2_1'; expected one of: goal_1_1, goal_1_2"):
-        LAYOUTS["umaze"].target_tasks("goal_2_1")
+    umaze = LAYOUTS["umaze"]
+    with pytest.raises(ConfigError, match=r"no task 's9_g_1_1' in this maze; .* 21 from s0_g_1_1 to .*'s\d_g_1_1'\?"):
+        umaze.task("s9_g_1_1")
+    with pytest.raises(ConfigError, match=r"no target 'goal_2_1' in this maze; .* from goal_1_1 to .*'goal_\d_\d'\?"):
+        umaze.tasks.of("goal_2_1")
 
 
 def test_gymnasium_frame_by_hand():

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from datamodules.errors import UserError
+from plp_lightning.envs.native import STATE
 from plp_lightning.envs.rendering import backend, camera
 from plp_lightning.envs.rendering.backend import choose_backend, works
 from plp_lightning.envs.rendering.camera import Camera, Viewpoint
-from plp_lightning.envs.tabletop import physics
 from plp_lightning.envs.tabletop.model import WINDOW_FILE, read_scene
 from plp_lightning.envs.tabletop.simulator import VIEWS, View, Window
 
@@ -112,10 +112,9 @@ def test_pictures_are_the_right_way_up() -> None:
 
 def full_data(window: Window, episode: int, shipped: mujoco.MjModel) -> mujoco.MjData:
     """The shipped scene in the state of an episode that was just reset."""
-    assert window._physics is not None
     scene, data = window._physics.scene, mujoco.MjData(shipped)
     ours = mujoco.MjData(scene.model)
-    mujoco.mj_setState(scene.model, ours, window._physics.states[episode], physics.STATE)
+    mujoco.mj_setState(scene.model, ours, window._physics.states[episode], STATE)
     shipped.body("window").pos = ours.mocap_pos[scene.furniture[0]]
     data.qpos = ours.qpos
     mujoco.mj_forward(shipped, data)

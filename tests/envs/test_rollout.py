@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datamodules.types import Observation
-from plp_lightning.envs.rollout import Actor, Episodes, rollout
+from plp_lightning.envs.base import Step
+from plp_lightning.envs.rollout import Actor, Episodes, Observer, rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
 
 
@@ -105,6 +106,51 @@ def test_an_outcome_does_not_depend_on_what_else_is_run(pairs: list[tuple[int, i
 
 def test_the_expert_solves_every_task_from_every_start() -> None:
     simulator = LinearPoint(2)
-    expert, tasks, seeds = LinearPointExpert(), list(simulator.tasks) * 5, list(range(40))
+    expert, tasks, seeds = LinearPointExpert(), list(simulator.tasks.names) * 5, list(range(40))
     expert.begin(simulator, tasks, seeds)
     assert rollout(simulator, expert.act, tasks, seeds).success.all()
+
+
+class Diary(Observer):
+    """Writes down everything that it hears."""
+
+    def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
+        self.tasks, self.seeds, self.states = tuple(tasks), tuple(seeds), [observation.state]
+        self.steps: list[tuple[np.ndarray, Step, list[int]]] = []
+
+    def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
+        self.steps.append((actions, step, episodes.tolist()))
+        self.states.append(step.observation.state)
+
+    def end(self, outcome: Episodes) -> None:
+        self.outcome = outcome
+
+
+def test_observers_hear_everything_from_the_first_observation_to_the_one_after_the_last_action() -> None:
+    diaries, simulator = [Diary(), Diary()], Scripted(1, horizon=6)
+    seen: list[np.ndarray] = []
+
+    def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
+        seen.append(observation.state)
+        return np.full((len(running), 2), 0.1)
+
+    tasks, seeds = ["goal_0", "goal_1", "goal_2"], [300, 2, 0]
+    outcome = rollout(simulator, act, tasks, seeds, observers=diaries)
+    for diary in diaries:
+        assert (diary.tasks, diary.seeds, diary.outcome) == (tuple(tasks), tuple(seeds), outcome)
+        assert [episodes for _, _, episodes in diary.steps] == [[0, 1, 2]] * 2 + [[0, 2]] + [[2]] * 3
+        assert [(len(actions), actions[0, 0]) for actions, *_ in diary.steps] == [(3, 0.1)] * 2 + [(2, 0.1)] + [
+            (1, 0.1)
+        ] * 3
+        assert diary.steps[1][1].invalid.tolist() == [False, True, False]
+        assert diary.steps[2][1].success.tolist() == [True, False]
+        assert len(diary.states) == len(seen) + 1
+        np.testing.assert_array_equal(diary.states[0], seen[0])
+        np.testing.assert_array_equal(diary.states[2][[0, 2]], seen[2])
+    np.testing.assert_array_equal(diaries[0].states[-1], simulator._observe(np.array([2])).state)
+
+
+def test_an_observer_that_does_not_care_need_not_say_so() -> None:
+    simulator = Scripted(1, horizon=6)
+    watched = rollout(simulator, still([]), ["goal_0"] * 2, [300, 2], observers=[Observer()])
+    assert watched.steps.tolist() == run([300, 2])[0].steps.tolist()

@@ -9,8 +9,9 @@ from datamodules.errors import UserError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.synthetic import GOALS, RADIUS, STRIDE, LinearPoint, LinearPointExpert
+from plp_lightning.envs.views import located
 
-TASKS = LinearPoint(1).tasks
+TASKS = LinearPoint(1).tasks.names
 
 
 def test_goals_lie_on_the_unit_circle_counter_clockwise() -> None:
@@ -23,10 +24,10 @@ def test_goals_lie_on_the_unit_circle_counter_clockwise() -> None:
 
 def test_proxies_are_all_other_goals() -> None:
     simulator = LinearPoint(1)
-    assert simulator.proxy_tasks("goal_3") == tuple(task for task in TASKS if task != "goal_3")
-    assert simulator.target_tasks("goal_3") == ("goal_3",)
-    with pytest.raises(UserError, match="unknown task 'goal_9'; the tasks are goal_0, goal_1"):
-        simulator.proxy_tasks("goal_9")
+    assert simulator.tasks.proxies("goal_3") == tuple(task for task in TASKS if task != "goal_3")
+    assert simulator.tasks.of("goal_3") == ("goal_3",)
+    with pytest.raises(UserError, match="no target 'goal_9' in LinearPoint; expected one of: goal_0, goal_1"):
+        simulator.tasks.proxies("goal_9")
 
 
 def test_the_state_is_the_point_behind_the_linear_map() -> None:
@@ -121,9 +122,14 @@ def _plain() -> type[Simulator]:
     return type("Simulator", (Simulator,), dict.fromkeys(Simulator.__abstractmethods__))
 
 
+def test_a_simulator_has_to_meet_four_members() -> None:
+    assert Simulator.__abstractmethods__ == {"tasks", "spec", "reset", "step"}
+
+
 def test_a_simulator_without_a_shared_position_says_so() -> None:
-    with pytest.raises(UserError, match="Simulator knows no position that domains share; choose another --score"):
-        object.__new__(_plain()).shared_position(np.zeros((1, 2)))
+    with pytest.raises(UserError, match=r"Simulator knows no position that domains share; .* choose another --score"):
+        located(object.__new__(_plain()))
+    assert located(LinearPoint(1)) is not None
 
 
 def test_a_simulator_can_be_sent_to_another_process() -> None:

@@ -26,8 +26,8 @@ def shown(simulator: SeenPoint, colours: np.ndarray, point: tuple[float, float])
 
 
 def test_tasks_are_colours_and_the_others_are_proxies() -> None:
-    assert SeenPoint(1).tasks == COLOURS
-    assert SeenPoint(1).proxy_tasks("blue") == ("red", "green")
+    assert SeenPoint(1).tasks.names == COLOURS
+    assert SeenPoint(1).tasks.proxies("blue") == ("red", "green")
 
 
 def test_the_spec_is_what_comes_out() -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from datamodules.types import Observation
 from plp_lightning.envs.experts.tabletop import ReachExpert, WindowExpert, push, reach
+from plp_lightning.envs.native import STATE
 from plp_lightning.envs.rendering import backend
 from plp_lightning.envs.rollout import Episodes, rollout
 from plp_lightning.envs.tabletop import physics
@@ -40,7 +41,6 @@ def metaworld_env(simulator: Tabletop, task: str, row: int) -> Any:
         from metaworld.envs.sawyer_reach_v3 import SawyerReachEnvV3
         from metaworld.envs.sawyer_window_close_v3 import SawyerWindowCloseEnvV3
         from metaworld.envs.sawyer_window_open_v3 import SawyerWindowOpenEnvV3
-    assert simulator._physics is not None
     scene = simulator._physics.scene
     state = start_of(simulator, row)
     if isinstance(simulator, Reach):
@@ -59,10 +59,9 @@ def metaworld_env(simulator: Tabletop, task: str, row: int) -> Any:
 
 
 def start_of(simulator: Tabletop, row: int) -> mujoco.MjData:
-    assert simulator._physics is not None
     model = simulator._physics.scene.model
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, simulator._physics.states[row], physics.STATE)
+    mujoco.mj_setState(model, data, simulator._physics.states[row], STATE)
     return data
 
 
@@ -105,7 +104,7 @@ def run(simulator: Tabletop, act: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def test_a_blind_reach_is_a_guess() -> None:
     simulator = Reach("front_left")
-    tasks = list(simulator.tasks) * 8
+    tasks = list(simulator.tasks.names) * 8
     for slot in SLOTS[:2]:
         episodes = run(simulator, lambda hand, _, slot=slot: reach(hand, np.tile(slot, (len(hand), 1))), tasks)  # type: ignore[misc]
         at_slot = (simulator.aims(np.arange(len(tasks))) == slot).all(axis=1)
@@ -115,7 +114,7 @@ def test_a_blind_reach_is_a_guess() -> None:
 
 def test_visiting_the_balls_in_turn_does_not_help() -> None:
     simulator = Reach("front_right")
-    tasks, clock = list(simulator.tasks) * 4, np.zeros(12, dtype=int)
+    tasks, clock = list(simulator.tasks.names) * 4, np.zeros(12, dtype=int)
 
     def sweep(hand: np.ndarray, episodes: np.ndarray) -> np.ndarray:
         clock[episodes] += 1

@@ -10,10 +10,10 @@ from datamodules.streams import episode_seed
 from datamodules.types import Actor, Observation
 from plp_lightning.envs.rollout import Episodes
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.evaluation.simulation import EvalSetting, Success, evaluate, evaluate_all
+from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate, evaluate_all
 from plp_lightning.evaluation.statistics import success_interval
 
-TASKS = LinearPoint(1).tasks
+TASKS = LinearPoint(1).tasks.names
 
 
 class Clever:
@@ -52,7 +52,7 @@ def test_invalid_episodes_count_as_failed_and_are_never_dropped() -> None:
 
 def test_an_episode_that_was_solved_and_diverged_is_no_success() -> None:
     episodes = Episodes(np.array([True, False]), np.array([False, True]), np.array([3, 4]))
-    assert Success.of(episodes).success == 0.5
+    assert Outcome.of(episodes).success == 0.5
 
 
 def test_tasks_take_turns_with_seeds_of_evaluation() -> None:
@@ -95,7 +95,7 @@ def test_every_trial_runs_in_its_own_domain() -> None:
 
 
 def test_outcomes_are_plain_data() -> None:
-    outcome = Success(0.5, 4, 1, success_interval(2, 4))
+    outcome = Outcome(0.5, 4, 1, success_interval(2, 4))
     plain = outcome.to_dict()
     assert json.loads(json.dumps(plain)) == plain
     assert plain == {"success": 0.5, "episodes": 4, "invalid": 1, "interval": list(outcome.interval)}

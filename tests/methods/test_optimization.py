@@ -88,7 +88,7 @@ def run(
         def on_train_epoch_end(self, trainer: Trainer, *_: object) -> None:
             trainer.should_stop = trainer.current_epoch + 1 == until
 
-    trainer = make_trainer(RandomState(), *best_and_last(folder), rates, Stop(), epochs=epochs)
+    trainer = make_trainer(RandomState(), *best_and_last(folder, "val/bc"), rates, Stop(), epochs=epochs)
     last = folder / "last.ckpt"
     trainer.fit(phase, datamodule=data, ckpt_path=last if last.exists() else None, weights_only=True)
     return rates.seen

@@ -4,28 +4,26 @@ import numpy as np
 import pytest
 
 from datamodules.types import Observation
-from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.evaluation.simulation import EvalSetting
 from plp_lightning.pictures.film_figure import BORDER, CAPTION, IMAGES, TILE, film_figure, film_frames, strip
 from plp_lightning.pictures.films import Film, FilmRecorder, film_recorders
 from plp_lightning.pictures.path_figure import FAILED, SOLVED
-from plp_lightning.pictures.paths import path_recorders
 
 TASKS, SEEDS = ["red", "green", "blue", "red", "green"], [3, 4, 5, 6, 7]
 
 
 def recorded(most: int, lost: int) -> tuple[FilmRecorder, np.ndarray]:
     """The expert's episodes, of which ``lost`` stands still; and which were solved."""
-    recorder, expert = FilmRecorder(SeenPoint(1, image_size=9, horizon=30), most), LinearPointExpert()
+    recorder, expert, simulator = FilmRecorder(most), LinearPointExpert(), SeenPoint(1, image_size=9, horizon=30)
 
     def act(observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         if len(episodes) == len(TASKS):
-            expert.begin(recorder.simulator, TASKS, SEEDS)
+            expert.begin(simulator, TASKS, SEEDS)
         return expert.act(observation, episodes) * (episodes != lost)[:, None]
 
-    return recorder, rollout(recorder, act, TASKS, SEEDS).success
+    return recorder, rollout(simulator, act, TASKS, SEEDS, observers=[recorder]).success
 
 
 def film(length: int, success: bool, task: str = "red") -> Film:
@@ -48,34 +46,21 @@ def test_only_the_first_episodes_are_kept() -> None:
 
 
 def test_images_are_those_that_stepping_by_hand_shows() -> None:
-    seen, watched = (SeenPoint(1, image_size=9) for _ in range(2))
-    recorder, rng, rows = FilmRecorder(watched, 2), np.random.default_rng(0), np.arange(3)
-    images = [seen.reset(TASKS[:3], SEEDS[:3]).image]
-    recorder.reset(TASKS[:3], SEEDS[:3])
-    for actions in rng.uniform(-1, 1, (4, 3, 2)):
-        images.append(seen.step(actions, rows).observation.image)
-        recorder.step(actions, rows)
+    simulator, recorder = SeenPoint(1, image_size=9, horizon=4), FilmRecorder(2)
+    actions, rows = np.random.default_rng(0).uniform(-1, 1, (4, 3, 2)), np.arange(3)
+    images = [simulator.reset(TASKS[:3], SEEDS[:3]).image]
+    images += [simulator.step(action, rows).observation.image for action in actions]
+    script = iter(actions)
+    rollout(simulator, lambda seen, running: next(script), TASKS[:3], SEEDS[:3], observers=[recorder])
     for episode, found in enumerate(recorder.films(2)):
         np.testing.assert_array_equal(found.images, np.stack([image[episode] for image in images if image is not None]))
 
 
-def test_a_reset_forgets_earlier_episodes() -> None:
-    recorder = FilmRecorder(SeenPoint(1), 5)
-    recorder.reset(TASKS, SEEDS)
-    recorder.reset(["blue"], [0])
+def test_a_new_beginning_forgets_earlier_episodes() -> None:
+    recorder, _ = recorded(most=5, lost=0)
+    recorder.begin(["blue"], [0], SeenPoint(1).reset(["blue"], [0]))
     (only,) = recorder.films(5)
-    assert (only.task, len(only.images)) == ("blue", 1)
-
-
-def test_it_answers_as_the_simulator_does() -> None:
-    simulator = SeenPoint(2)
-    recorder = FilmRecorder(simulator, 1)
-    assert (recorder.tasks, recorder.horizon) == (simulator.tasks, simulator.horizon)
-    assert recorder.proxy_tasks("red") == ("green", "blue")
-    assert recorder.target_tasks("red") == ("red",)
-    assert recorder.spec("a") == simulator.spec("a")
-    state = simulator.reset(["red"], [0]).state
-    np.testing.assert_array_equal(recorder.shared_position(state), simulator.shared_position(state))
+    assert (only.task, only.success, len(only.images)) == ("blue", False, 1)
 
 
 def test_domains_with_cameras_alone_are_filmed_and_not_without_room() -> None:
@@ -83,16 +68,6 @@ def test_domains_with_cameras_alone_are_filmed_and_not_without_room() -> None:
     trials = {"target": EvalSetting("seen", ("red",)), "source": EvalSetting("blind", ("goal_0",))}
     assert [*film_recorders(simulators, trials, most=4)] == ["target"]
     assert film_recorders(simulators, trials, most=0) == {}
-
-
-def test_a_film_recorder_watches_through_another_recorder() -> None:
-    other = FilmRecorder(SeenPoint(1), 3)
-    trials = {"target": EvalSetting("seen", ("red",))}
-    (recorder,) = film_recorders({"seen": other.simulator}, trials, 2, {"target": other}).values()
-    recorder.reset(TASKS, SEEDS)
-    assert [len(recorder.films(9)), len(other.films(9))] == [2, 3]
-    assert not path_recorders({"seen": SeenPoint(1)}, trials)
-    assert FilmRecorder(PointMaze("umaze"), 1).floor_plan() is not None
 
 
 def test_a_strip_holds_first_last_and_evenly_between() -> None:

@@ -5,7 +5,7 @@ from matplotlib.collections import LineCollection, PatchCollection, PathCollecti
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from plp_lightning.envs.base import FloorPlan
+from plp_lightning.envs.views import FloorPlan
 from plp_lightning.pictures.path_figure import FAILED, SOLVED, Panel, path_figure
 from plp_lightning.pictures.paths import Paths
 

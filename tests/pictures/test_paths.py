@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from datamodules.types import Actor, Observation
-from plp_lightning.envs.base import FloorPlan, Simulator, Step
+from plp_lightning.envs.base import Step
 from plp_lightning.envs.experts.waypoint import WaypointExpert
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.rollout import Episodes, rollout
 from plp_lightning.envs.synthetic import LinearPoint
+from plp_lightning.envs.views import FloorPlan
 from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
 from plp_lightning.pictures.paths import PathRecorder, Paths, path_recorders
 
@@ -19,15 +20,10 @@ SEEDS = [3, 4, 5, 6, 7, 8]
 MIRRORED = {"swap_axes": True, "negate_actions": True}
 
 
-def recorder(simulator: Simulator) -> PathRecorder:
-    plan = simulator.floor_plan()
-    assert plan is not None
-    return PathRecorder(simulator, plan)
-
-
 def walked(simulator: PointMaze, wild: Sequence[int] = ()) -> tuple[PathRecorder, Episodes]:
     """The expert's episodes; the ``wild`` ones act at random instead, and rarely arrive."""
-    recording, expert, rng = recorder(simulator), WaypointExpert(), np.random.default_rng(0)
+    recording, expert = PathRecorder(simulator, simulator.floor_plan()), WaypointExpert()
+    rng = np.random.default_rng(0)
 
     def act(observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         if recording.paths.positions[0].shape[0] == 1:
@@ -37,7 +33,7 @@ def walked(simulator: PointMaze, wild: Sequence[int] = ()) -> tuple[PathRecorder
         actions[lost] = np.sign(rng.normal(size=(lost.sum(), 2)))
         return actions
 
-    return recording, rollout(recording, act, TASKS, SEEDS)
+    return recording, rollout(simulator, act, TASKS, SEEDS, observers=[recording])
 
 
 @pytest.fixture(scope="module", params=[{}, MIRRORED], ids=["plain", "mirrored"])
@@ -46,19 +42,20 @@ def walk(request: pytest.FixtureRequest) -> tuple[PathRecorder, Episodes]:
 
 
 def test_paths_are_the_positions_that_stepping_by_hand_shows() -> None:
-    seen, watched = PointMaze("umaze", **MIRRORED), recorder(PointMaze("umaze", **MIRRORED))
+    seen, watched = PointMaze("umaze", **MIRRORED), PointMaze("umaze", **MIRRORED)
+    recorder = PathRecorder(watched, watched.floor_plan())
     rng, everyone, second = np.random.default_rng(1), np.arange(2), np.array([1])
     states = [[state] for state in seen.reset(TASKS[:2], SEEDS[:2]).state]
-    watched.reset(TASKS[:2], SEEDS[:2])
+    recorder.begin(TASKS[:2], SEEDS[:2], watched.reset(TASKS[:2], SEEDS[:2]))
     for episodes in (everyone, everyone, second, second, second):
         actions = rng.uniform(-1, 1, (len(episodes), 2))
-        watched.step(actions, episodes)
+        recorder.step(actions, watched.step(actions, episodes), episodes)
         for episode, state in zip(episodes, seen.step(actions, episodes).observation.state, strict=True):
             states[episode].append(state)
     # This domain shows (y, x, vy, vx), and in D4RL's frame of the point row i lies at x = i - 0.2.
-    for path, shown in zip(watched.paths.positions, states, strict=True):
+    for path, shown in zip(recorder.paths.positions, states, strict=True):
         np.testing.assert_allclose(path, np.array(shown)[:, [1, 0]] + 0.2, atol=1e-6)
-    assert [len(path) for path in watched.paths.positions] == [3, 6]
+    assert [len(path) for path in recorder.paths.positions] == [3, 6]
 
 
 def test_recorded_episodes_are_those_of_the_simulator(walk: tuple[PathRecorder, Episodes]) -> None:
@@ -88,7 +85,7 @@ def test_solved_paths_alone_end_at_their_goals(walk: tuple[PathRecorder, Episode
 
 def test_a_new_rollout_forgets_the_one_before() -> None:
     watched, _ = walked(PointMaze("umaze"))
-    watched.reset(["s0_g_3_1"], [1])
+    watched.begin(["s0_g_3_1"], [1], PointMaze("umaze").reset(["s0_g_3_1"], [1]))
     assert [path.shape for path in watched.paths.positions] == [(1, 2)]
     assert watched.paths.success.tolist() == [False]
 
@@ -116,7 +113,8 @@ def test_success_is_what_a_rollout_calls_so(script: list[tuple[bool, bool]], sol
     simulator = Scripted(1, horizon=len(script))
     simulator.script = script
     watched = PathRecorder(simulator, FloorPlan(np.zeros((1, 2)), 1.0, {}, 1.0))
-    episodes = rollout(watched, lambda seen, running: np.zeros((1, 2)), ["goal_0"], [0], hold_steps=len(script))
+    still = np.zeros((1, 2))
+    episodes = rollout(simulator, lambda seen, running: still, ["goal_0"], [0], len(script), [watched])
     assert watched.paths.success.tolist() == episodes.success.tolist() == [solved]
 
 
@@ -145,7 +143,9 @@ def test_only_the_trials_of_domains_with_a_floor_plan_are_recorded() -> None:
     }
     found = path_recorders(simulators, {name: trials[name] for name in ("a", "c")})
     assert list(found) == ["a"]
-    outcomes = evaluate_all(Still(), simulators, trials, 3, seed=0, recorders=found)
+    outcomes = evaluate_all(
+        Still(), simulators, trials, 3, seed=0, observers={name: [recorder] for name, recorder in found.items()}
+    )
     assert outcomes == evaluate_all(Still(), simulators, trials, 3, seed=0)
     paths: Paths = found["a"].paths
     assert paths.tasks == ("s0_g_3_1",) * 3

@@ -17,9 +17,11 @@ from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.callbacks.preemption import PreemptedError
 from plp_lightning.envs.base import Domain, Expert, Simulator, Step
+from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.runs import collection
-from plp_lightning.runs.collection import CollectionConfig, ExpertCollector, Job, demonstrate
+from plp_lightning.runs.collection import ExpertCollector, Job, demonstrate
+from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 
 RECIPE = CollectionConfig(processes=1, noise=0.2)
@@ -190,7 +192,7 @@ def test_a_recipe_among_earlier_ones_counts_too(tmp_path: Path) -> None:
 def test_demonstrations_from_elsewhere_are_taken_as_they_are(tmp_path: Path, provenance: Mapping[str, str]) -> None:
     path, domains = tmp_path / "a.hdf5", {"flat": Domain(LinearPoint(1, 3), LinearPointExpert())}
     specs = [domain.simulator.spec(name) for name, domain in domains.items()]
-    write_trajectories(path, specs, LinearPoint(1, 3).tasks, made(LinearPointExpert(), job(1)), provenance)
+    write_trajectories(path, specs, LinearPoint(1, 3).tasks.names, made(LinearPointExpert(), job(1)), provenance)
     ExpertCollector(domains, RECIPE).check(path)
 
 
@@ -268,6 +270,24 @@ def test_the_last_image_is_kept_with_the_last_state() -> None:
         assert last.image is not None
         np.testing.assert_array_equal(trajectory.observation.state[-1], last.state[0])
         np.testing.assert_array_equal(trajectory.observation.image[-1], last.image[0])
+
+
+@pytest.mark.parametrize("random_start_steps", [0, 4])
+def test_demonstrators_keep_what_is_seen_after_the_last_action(random_start_steps: int) -> None:
+    domain = Domain(LinearPoint(1, 3), LinearPointExpert())
+    tasks, seeds = ["goal_1", "goal_4", "goal_6"], [5, 6, 7]
+    demonstrator = collection.Demonstrator(domain, 0.0, random_start_steps)
+    outcome = rollout(domain.simulator, demonstrator.act, tasks, seeds, observers=[demonstrator])
+    for index, (task, seed) in enumerate(zip(tasks, seeds, strict=True)):
+        observation, actions = demonstrator.episode(index)
+        assert len(observation.state) == len(actions) + 1 == outcome.steps[index] - random_start_steps + 1
+        state = domain.simulator.reset([task], [seed]).state
+        for drift in [demonstrator.drifts[index]] * random_start_steps:
+            state = domain.simulator.step(drift[None], np.array([0])).observation.state
+        for shown, action in zip(observation.state, actions, strict=False):
+            np.testing.assert_array_equal(shown, state[0])
+            state = domain.simulator.step(action[None], np.array([0])).observation.state
+        np.testing.assert_array_equal(observation.state[-1], state[0])
 
 
 @pytest.mark.parametrize("hold_steps", [0, 4])

@@ -29,15 +29,15 @@ def resolved(*words: str) -> dict[str, Any]:
 def test_what_a_file_or_flag_sets_is_listed_and_nothing_else() -> None:
     plain = differing_settings(resolved())
     assert plain["policy"] == "PortablePolicy"
-    assert (plain["alignment.lr"], plain["data.trajectories"]) == (2e-3, 140)
+    assert (plain["alignment.optimizer.lr"], plain["data.trajectories"]) == (2e-3, 140)
     assert plain["domains.tall.simulator.map_seed"] == 2  # required, so always told
     assert plain["score.0.samples"] == 200
-    assert not {"alignment.weight_decay", "data.val_fraction", "domains.tall.expert.gain"} & plain.keys()
+    assert not {"alignment.optimizer.weight_decay", "data.val_fraction", "domains.tall.expert.gain"} & plain.keys()
     assert not {"seed", "method", "experiment", "data.target_task", "run_root"} & plain.keys()
 
-    flags = ["--alignment.weight_decay", "0.5", "--data.val_fraction", "0.2", "--evaluation.films", "0"]
+    flags = ["--alignment.optimizer.weight_decay", "0.5", "--data.val_fraction", "0.2", "--evaluation.films", "0"]
     changed = differing_settings(resolved(*flags, "--policy.encoder_layers", "3", "--seed", "4", "--run_root", "x"))
-    extra = {"alignment.weight_decay": 0.5, "data.val_fraction": 0.2, "evaluation.films": 0}
+    extra = {"alignment.optimizer.weight_decay": 0.5, "data.val_fraction": 0.2, "evaluation.films": 0}
     assert changed == plain | extra  # three layers are the default
 
 
@@ -45,7 +45,7 @@ def test_every_value_that_differs_from_its_class_s_default_is_one_that_is_listed
     tree = resolved("--config", str(ROOT / "configs" / "methods" / "cdil.yaml"))
     listed = differing_settings(tree)
     tree["alignment"]["init_args"]["noise"] = 0.7
-    tree["alignment"]["init_args"].pop("slowdown")  # of an older release, say
+    tree["alignment"]["init_args"].pop("discriminator_layers")  # of an older release, say
     assert differing_settings(tree) == listed | {"alignment.noise": 0.7}
 
 
@@ -57,7 +57,7 @@ def test_a_class_that_is_gone_has_all_its_settings_listed() -> None:
 def test_the_hash_tells_settings_but_not_places(tmp_path: Path) -> None:
     one = config_hash(resolved())
     assert one == config_hash(resolved("--run_root", "x", "--data.root", "y", "--data.file", "z.hdf5"))
-    others = [resolved("--seed", "1"), resolved("--data.pairs", "9"), resolved("--alignment.lr", "0.1")]
+    others = [resolved("--seed", "1"), resolved("--data.pairs", "9"), resolved("--alignment.optimizer.lr", "0.1")]
     assert len({one, *map(config_hash, others)}) == 4
 
 
@@ -86,8 +86,8 @@ def test_results_and_tensorboard_tell_what_they_were_made_with(tmp_path: Path) -
     plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data.content
     row = plugin_data_pb2.HParamsPluginData.FromString(plugin).session_start_info.hparams
     assert (row["method"].string_value, row["seed"].number_value) == ("plp", 3)
-    assert (row["target_task"].string_value, row["alignment.lr"].number_value) == ("goal_3", 2e-3)
-    assert "alignment.weight_decay" in row  # all others come after
+    assert (row["target_task"].string_value, row["alignment.optimizer.lr"].number_value) == ("goal_3", 2e-3)
+    assert "alignment.optimizer.weight_decay" in row  # all others come after
 
 
 def told(folder: Path) -> str:

@@ -13,7 +13,7 @@ from datamodules.errors import CheckpointError
 
 WEIGHTS = Path(__file__).parent / "weights"
 TRAIN = "plp collect --config FILE --train_expert DOMAIN --weights FILE"
-"""How users train a gait."""
+"""The command that trains a gait."""
 VELOCITY_LIMIT = 10.0
 """Velocities beyond this (m/s, rad/s) look the same to the gait."""
 
@@ -41,13 +41,13 @@ class Symmetry:
         self._signs = np.stack([np.ones(legs), ankles], axis=1)
 
     def turns(self, directions: np.ndarray) -> np.ndarray:
-        """How many n-ths of a full turn ``(m,)`` bring directions ``(m, 2)`` back to where the gait walks."""
+        """Number of n-ths of a full turn ``(m,)`` that bring directions ``(m, 2)`` back to where the gait walks."""
         angles = np.arctan2(directions[:, 1], directions[:, 0])
         turns: np.ndarray = np.rint(angles / self._sector - self._offset).astype(int)
         return turns
 
     def turn(self, states: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """What the gait sees: everything but where the walker is, turned back by :meth:`turns`.
+        """Features that the gait sees: everything but where the walker is, turned back by :meth:`turns`.
 
         Args:
             states: ``(m, 13 + 4 n)``: position xy, height, quaternion, joints, velocities.
@@ -139,11 +139,11 @@ class Gait:
 
 
 def gait_path(legs: int) -> Path:
-    """Where the gait that comes with this package lies, for a body with ``legs`` legs."""
+    """Path of the gait that comes with this package, for a body with ``legs`` legs."""
     return WEIGHTS / f"walker_{legs}.safetensors"
 
 
 def provenance(path: Path) -> dict[str, object]:
-    """How the gait at ``path`` was made: command, seed, steps, versions."""
+    """Command, seed, steps and versions that the gait at ``path`` was made with."""
     record: dict[str, object] = json.loads(path.with_suffix(".json").read_text())
     return record

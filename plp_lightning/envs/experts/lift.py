@@ -10,9 +10,10 @@ from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.lift.simulator import Lift
+from plp_lightning.envs.lift.tasks import block_place
 
 GAIN = 3.0
-"""Of the way to the goal, the share covered in one control step at most: 1 is slow, 10 chatters."""
+"""Largest share of the way to the goal that a control step covers: 1 is slow, 10 chatters."""
 STEP = 0.05
 """Way of the hand for an action of 1, m."""
 ABOVE = 0.07
@@ -50,7 +51,7 @@ class LiftExpert(Expert):
         self._hand = spec.columns(["eef_pos"])
         self._finger = spec.columns(["gripper_qpos"])[0]
         self._sign, self._threshold = HOLDS[simulator.robot]
-        self._blocks = np.array([simulator.block(task) for task in tasks]).reshape(-1, 3)
+        self._blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""

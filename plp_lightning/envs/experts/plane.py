@@ -1,4 +1,4 @@
-"""Where walkers learn to walk: an empty plane, directions that change, and pushes."""
+"""A place for walkers to learn to walk: an empty plane, directions that change, and pushes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv
 
 from plp_lightning.envs.experts.gait import Symmetry
-from plp_lightning.envs.maze.rollout import BatchedPhysics
+from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.walker_model import walker_mjcf
 
+SUBSTEPS = 5
+"""Physics steps of a control step."""
 HORIZON = 500
 """Control steps of an episode."""
 REDRAW = 1 / 80
@@ -40,14 +42,14 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
     render_mode: str | None = None
 
     def __init__(self, legs: int, walkers: int, seed: int) -> None:
-        model = mujoco.MjModel.from_xml_string(walker_mjcf(legs))
-        self._model = model
-        self._physics = BatchedPhysics(model, frame_skip=5, threads=1)
-        self._dt = 5 * model.opt.timestep
+        self._physics = MazePhysics(walker_mjcf(legs), threads=1)
+        model = self._physics.model
+        self._dt = SUBSTEPS * model.opt.timestep
         self._joints = model.nu
         self._symmetry = Symmetry(legs)
         self._rng = np.random.default_rng(seed)
-        self._states = self._physics.initial_states(walkers)
+        self._physics.begin(walkers)
+        self._rest = self._physics.states[0].copy()
         self._directions = np.zeros((walkers, 2))
         self._age = np.zeros(walkers, dtype=int)
         self._torques = np.zeros((walkers, model.nu))
@@ -56,7 +58,7 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
 
     def integrate(self, integrator: mujoco.mjtIntegrator) -> None:
         """Change the integrator from the next step on."""
-        self._model.opt.integrator = integrator
+        self._physics.model.opt.integrator = integrator
 
     def reset(self) -> np.ndarray:
         """Begin all episodes; returns features ``(n, F)``."""
@@ -69,9 +71,9 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Walk one control step; walkers that fell or ran out of time begin again."""
-        before = self._states[:, self._physics.qpos][:, :2]
-        self._states, valid = self._physics.step(self._states, self._next_torques)
-        rewards = self._rewards((self._states[:, self._physics.qpos][:, :2] - before) / self._dt)
+        before = self._qpos[:, :2].copy()
+        valid = self._physics.hold(np.arange(self.num_envs), self._next_torques, SUBSTEPS)
+        rewards = self._rewards((self._qpos[:, :2] - before) / self._dt)
         self._torques = self._next_torques
         self._age += 1
         fallen = ~valid | self._fallen()
@@ -84,15 +86,18 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
         self._begin(np.flatnonzero(done))
         return self._features(), rewards.astype(np.float32), done, infos
 
+    @property
+    def _qpos(self) -> np.ndarray:
+        return self._physics.states[:, self._physics.qpos]
+
     def _features(self) -> np.ndarray:
-        physical = np.concatenate([self._states[:, self._physics.qpos], self._states[:, self._physics.qvel]], axis=1)
-        return self._symmetry.turn(physical, self._directions)
+        return self._symmetry.turn(self._physics.states[:, self._physics.physical], self._directions)
 
     def _rewards(self, velocity: np.ndarray) -> np.ndarray:
         along = (velocity * self._directions).sum(axis=1)
         across = np.abs(velocity[:, 0] * self._directions[:, 1] - velocity[:, 1] * self._directions[:, 0])
-        turned = 1 - self._states[:, self._physics.qpos][:, 3] ** 2
-        spin = (self._states[:, self._physics.qvel][:, 3:6] ** 2).sum(axis=1)
+        turned = 1 - self._qpos[:, 3] ** 2
+        spin = (self._physics.states[:, self._physics.qvel][:, 3:6] ** 2).sum(axis=1)
         effort = (self._next_torques**2).mean(axis=1)
         jerk = ((self._next_torques - self._torques) ** 2).mean(axis=1)
         # The bonus for being on one's feet keeps rewards positive: otherwise to fall at once would pay.
@@ -101,16 +106,16 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
         return rewards
 
     def _fallen(self) -> np.ndarray:
-        qpos = self._states[:, self._physics.qpos]
+        qpos = self._qpos
         height, upright = qpos[:, 2], 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)
         return (height < 0.25) | (height > 1.1) | (upright < 0)
 
     def _begin(self, rows: np.ndarray) -> None:
         if len(rows) == 0:
             return
-        states = self._physics.initial_states(len(rows))
-        states[:, self._physics.qpos][:, 7:] += self._rng.uniform(-0.1, 0.1, (len(rows), self._joints))
-        self._states[rows] = states
+        self._physics.states[rows] = self._rest
+        joints = slice(self._physics.qpos.start + 7, self._physics.qpos.stop)
+        self._physics.states[rows, joints] += self._rng.uniform(-0.1, 0.1, (len(rows), self._joints))
         self._age[rows] = 0
         self._torques[rows] = 0
         self._disturb(rows)
@@ -124,7 +129,7 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
         ordinary, hard = PUSHES
         strength = np.where(self._rng.random((len(rows), 1)) < HARD, hard, ordinary)
         first = self._physics.qvel.start
-        self._states[rows, first : first + 6] += strength * self._rng.normal(0, 1, (len(rows), 6))
+        self._physics.states[rows, first : first + 6] += strength * self._rng.normal(0, 1, (len(rows), 6))
 
     def close(self) -> None:
         """Nothing to close."""

@@ -30,7 +30,7 @@ OVER = 0.04
 LOW = 0.02
 """Distance in height at which the hand pushes, m."""
 PUSH = 0.1
-"""How far ahead of itself the hand aims then, m."""
+"""Way ahead of itself that the hand aims at then, m."""
 
 
 class ReachExpert(Expert):

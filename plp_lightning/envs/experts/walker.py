@@ -1,4 +1,4 @@
-"""Who demonstrates for ant and spider: a learned gait, steered along the route to the goal."""
+"""The demonstrator of ant and spider: a learned gait, steered along the route to the goal."""
 
 from __future__ import annotations
 

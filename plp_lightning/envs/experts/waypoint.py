@@ -1,4 +1,4 @@
-"""Who demonstrates in mazes: routes along the corridors' centre lines, and the point's controller on them."""
+"""The demonstrator in mazes: routes along the corridors' centre lines, and the point's controller on them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from plp_lightning.envs.maze.simulator import PointMaze
 
 
 class Guide:
-    """Where to go next from every cell, for each of E episodes; has no memory, so that clones need none.
+    """Leads E episodes from every cell to the next; has no memory, so that clones need none.
 
     Whoever is beside the centre line of the corridor first heads for the line, then along it; the change is gradual.
 

@@ -13,17 +13,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from plp_lightning.envs.lift.state import Arm
+from plp_lightning.envs.lift.tasks import BLOCK_HALF, Robot
 
-Robot = Literal["Sawyer", "UR5e"]
-
-BLOCK_HALF = 0.02
-"""Half the edge of the block, m. robosuite draws it anew for every model; both robots need the same."""
 PEDESTAL_HALF = (0.018, 0.018, 0.10)
 """Half size of the pedestal, m: narrower than the block, so that the fingers clear it."""
 ARENA = "16M"
@@ -121,7 +118,6 @@ class LiftModel:
         actuators = np.array(parts._ref_actuators_indexes_dict["right"])
         finger_actuators = np.array(parts._ref_joint_gripper_actuator_indexes["right"])
         arm = Arm(
-            address=model._address,
             site=int(parts.eef_site_id["right"]),
             hand=int(model.body(parts.robot_model.eef_name["right"]).id),
             block=int(model.joint(env.cube.joints[0]).qposadr[0]),
@@ -149,6 +145,5 @@ def _bare_model(env: Any) -> mujoco.MjModel:
         root.remove(size)
     ET.SubElement(root, "size", memory=ARENA)
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
-    # A diverged episode must be seen, not restarted in silence.
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET) | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     return model

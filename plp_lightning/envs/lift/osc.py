@@ -2,29 +2,27 @@
 
 The control law is robosuite 1.5's position controller (https://robosuite.ai/docs/modules/controllers.html),
 after O. Khatib, "A unified approach for motion and force control of robot manipulators: the operational
-space formulation", IEEE J. Robotics and Automation 3(1), 1987, with force and torque decoupled. MuJoCo's
-own C functions are called from the compiled code, which holds no lock of the interpreter.
+space formulation", IEEE J. Robotics and Automation 3(1), 1987, with force and torque decoupled.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
-
-import llvmlite.binding  # type: ignore[import-untyped, unused-ignore]  # has no stubs
-import mujoco
-import numba
 import numpy as np
-from numba import types
 
 from plp_lightning.envs.lift.state import Arm, Episodes, Workspace
+from plp_lightning.envs.native import (
+    entry,
+    inner,
+    load,
+    mj_forward,
+    mj_full_m,
+    mj_jac_site,
+    mj_step1,
+    mj_step2,
+    sane,
+    save,
+)
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
-STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-"""Everything of an MjData that the next step depends on."""
 SUBSTEPS = 25
 """Physics steps in one control step: 20 Hz over 2 ms."""
 REACH = 0.05
@@ -37,48 +35,6 @@ GRIPPER_SPEED = 0.2
 """Change of the gripper's command in one control step; it runs from -1, open, to 1, closed."""
 DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Orientation that the hand keeps: fingers down."""
-MAX_SPEED = 1e4
-"""Beyond this speed (m/s, rad/s) a simulation counts as diverged, well before MuJoCo's own limit of 1e10."""
-
-
-def _library() -> str:
-    """Path of the C library inside the mujoco package."""
-    names = ("libmujoco.so*", "libmujoco.*dylib", "mujoco.dll")
-    folder = Path(mujoco.__file__).parent
-    return str(next(path for name in names for path in sorted(folder.glob(name))))
-
-
-llvmlite.binding.load_library_permanently(_library())
-
-
-def _mujoco(name: str, *arguments: types.Type) -> Callable[..., None]:
-    """A C function of MuJoCo as compiled code calls it; pointers are passed as integers."""
-    return cast("Callable[..., None]", types.ExternalFunction(name, types.void(*arguments)))
-
-
-_POINTER = types.intp
-mj_step1 = _mujoco("mj_step1", _POINTER, _POINTER)
-mj_step2 = _mujoco("mj_step2", _POINTER, _POINTER)
-mj_jac_site = _mujoco("mj_jacSite", _POINTER, _POINTER, _POINTER, _POINTER, types.int32)
-mj_full_m = _mujoco("mj_fullM", _POINTER, _POINTER, _POINTER)
-mj_get_state = _mujoco("mj_getState", _POINTER, _POINTER, _POINTER, types.uint32)
-mj_set_state = _mujoco("mj_setState", _POINTER, _POINTER, _POINTER, types.uint32)
-
-
-def entry(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile what Python calls: without the interpreter's lock, machine code kept on disk."""
-    return cast("Callable[P, R]", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
-
-
-def inner(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile what only compiled code calls: without the wrapper for Python, which costs more than the function."""
-    options: dict[str, Any] = {
-        "nogil": True,
-        "error_model": "numpy",
-        "no_cpython_wrapper": True,
-        "no_cfunc_wrapper": True,
-    }
-    return cast("Callable[P, R]", numba.njit(**options)(function))
 
 
 @inner
@@ -152,9 +108,9 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
         goal: Position ``(3,)`` of the end effector, m.
         rest: Posture ``(n,)``, rad.
     """
-    mj_full_m(arm.address, work.mass.ctypes.data, work.inertia.ctypes.data)
+    mj_full_m(work.desk.model, work.mass.ctypes.data, work.inertia.ctypes.data)
     linear, angular = work.jacobian[:3], work.jacobian[3:]
-    mj_jac_site(arm.address, work.address, linear.ctypes.data, angular.ctypes.data, arm.site)
+    mj_jac_site(work.desk.model, work.desk.data, linear.ctypes.data, angular.ctypes.data, arm.site)
     size = len(arm.dof)
     mass, jacobian = np.empty((size, size)), np.empty((6, size))
     speed, posture = np.empty((size, 1)), np.empty((size, 1))
@@ -199,31 +155,19 @@ def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: n
 
 
 @inner
-def healthy(work: Workspace) -> bool:
-    """Whether positions and velocities are finite and of a size that physics can have."""
-    for value in work.qpos:
-        if not abs(value) < MAX_SPEED:
-            return False
-    for value in work.qvel:  # noqa: SIM110 - numba compiles the loop, not the generator
-        if not abs(value) < MAX_SPEED:
-            return False
-    return True
-
-
-@inner
 def actuate(arm: Arm, work: Workspace, torque: np.ndarray, grip: float) -> None:
     """Write the controls of the arm ``torque (n, 1)``, clipped, and of the fingers, ``grip`` in [-1, 1]."""
     for i in range(len(arm.actuators)):
         low, high = arm.limits[i]
-        work.ctrl[arm.actuators[i]] = min(max(torque[i, 0], low), high)
+        work.desk.ctrl[arm.actuators[i]] = min(max(torque[i, 0], low), high)
     for i in range(len(arm.finger_actuators)):
         low, high = arm.finger_limits[i]
-        work.ctrl[arm.finger_actuators[i]] = 0.5 * (high + low) + 0.5 * (high - low) * arm.finger_signs[i] * grip
+        work.desk.ctrl[arm.finger_actuators[i]] = 0.5 * (high + low) + 0.5 * (high - low) * arm.finger_signs[i] * grip
 
 
 @inner
 def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, rest: np.ndarray) -> bool:
-    """Hold one action for 25 physics steps; whether the simulation stayed healthy.
+    """Hold one action for 25 physics steps; False as soon as the simulation diverges.
 
     Args:
         arm: The robot.
@@ -232,20 +176,21 @@ def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, res
         grip: Command of the gripper in [-1, 1].
         rest: Posture ``(n,)``, rad.
     """
-    goal = np.empty(3)
+    desk, goal = work.desk, np.empty(3)
     for substep in range(SUBSTEPS):
-        if not healthy(work):
+        # What has no place or speed must not reach the controller, nor MuJoCo's search for contacts.
+        if not (sane(work.qpos) and sane(work.qvel)):
             return False
-        mj_step1(arm.address, work.address)
+        mj_step1(desk.model, desk.data)
         if substep == 0:
             for axis in range(3):
                 goal[axis] = work.site_pos[arm.site, axis] + REACH * min(max(action[axis], -1.0), 1.0)
         actuate(arm, work, torques(arm, work, goal, rest), grip)
-        mj_step2(arm.address, work.address)
-    return healthy(work)
+        mj_step2(desk.model, desk.data)
+    return True
 
 
-@entry
+@inner
 def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
     """Write the observation into ``row (O,)``: arm, hand, fingers, as robosuite's observables name them."""
     arm_size, finger_size = len(arm.qpos), len(arm.finger_qpos)
@@ -264,28 +209,39 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
 
 
 @entry
-def step_episode(arm: Arm, work: Workspace, episodes: Episodes, row: int, action: np.ndarray) -> bool:
-    """Advance one episode by one control step, unless that is invalid: then it stays as it was.
+def begin_episodes(arm: Arm, work: Workspace, episodes: Episodes, start: int, stop: int) -> None:
+    """Work out what follows from the first states of the episodes from ``start`` to ``stop``, and observe them."""
+    for row in range(start, stop):
+        load(work.desk, episodes.state[row])
+        mj_forward(work.desk.model, work.desk.data)
+        save(work.desk, episodes.state[row])
+        observe(arm, work, episodes.observation[row])
+
+
+@entry
+def step_episodes(
+    arm: Arm, work: Workspace, episodes: Episodes, rows: np.ndarray, actions: np.ndarray, valid: np.ndarray
+) -> None:
+    """Advance some episodes by one control step, unless that is invalid: then they stay as they were.
 
     Args:
         arm: The robot.
         work: The calling thread's own room.
-        episodes: All episodes; one is updated in place.
-        row: Which.
-        action: ``(4,)`` float64, clipped here to [-1, 1].
-
-    Returns:
-        Whether the action was finite and the simulation did not diverge.
+        episodes: All episodes, updated in place.
+        rows: Which, ``(m,)``.
+        actions: ``(m, 4)`` float64, clipped here to [-1, 1].
+        valid: ``(m,)``: whether the action is finite; False afterwards where the simulation diverged, too.
     """
-    for value in action:
-        if not np.isfinite(value):
-            return False
-    grip = min(max(episodes.grip[row] + GRIPPER_SPEED * np.sign(action[3]), -1.0), 1.0)
-    mj_set_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
-    if not control_step(arm, work, action, grip, episodes.rest[row]):
-        return False
-    mj_get_state(arm.address, work.address, episodes.state[row].ctypes.data, STATE)
-    observe(arm, work, episodes.observation[row])
-    episodes.grip[row] = grip
-    episodes.block_z[row] = work.qpos[arm.block + 2]
-    return True
+    for i in range(len(rows)):
+        row, action = rows[i], actions[i]
+        grip = min(max(episodes.grip[row] + GRIPPER_SPEED * np.sign(action[3]), -1.0), 1.0)
+        valid[i] = (
+            valid[i]
+            and load(work.desk, episodes.state[row])
+            and control_step(arm, work, action, grip, episodes.rest[row])
+            and save(work.desk, episodes.state[row])
+        )
+        if valid[i]:
+            observe(arm, work, episodes.observation[row])
+            episodes.grip[row] = grip
+            episodes.block_z[row] = work.qpos[arm.block + 2]

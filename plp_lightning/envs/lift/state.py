@@ -1,4 +1,4 @@
-"""What stepping R2R-Lift reads and writes: tuples of plain arrays, which compiled code takes as they are."""
+"""The data that stepping R2R-Lift reads and writes: tuples of plain arrays, which compiled code takes as they are."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.native import Desk
+
 
 class Arm(NamedTuple):
-    """Where the parts of a robot with n arm joints, g finger joints and f finger actuators are in its model."""
+    """Places in its model of the parts of a robot with n arm joints, g finger joints and f finger actuators."""
 
-    address: int
-    """Of the MjModel in memory."""
     site: int
     """Site between the fingers: the position of the end effector."""
     hand: int
     """Body whose orientation is observed."""
     block: int
-    """Where the block's free joint starts in qpos."""
+    """Start of the block's free joint in qpos."""
     qpos: np.ndarray
     """``(n,)``, as are dof and actuators."""
     dof: np.ndarray
@@ -39,10 +39,9 @@ class Arm(NamedTuple):
 class Workspace(NamedTuple):
     """One thread's MjData, seen through arrays that share its memory, and room for the controller."""
 
-    address: int
+    desk: Desk
     qpos: np.ndarray
     qvel: np.ndarray
-    ctrl: np.ndarray
     bias: np.ndarray
     inertia: np.ndarray
     site_pos: np.ndarray
@@ -57,7 +56,7 @@ class Workspace(NamedTuple):
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
         """Views of ``data``, valid as long as it lives."""
         return cls(
-            data._address, data.qpos, data.qvel, data.ctrl, data.qfrc_bias, data.qM, data.site_xpos,
+            Desk.of(model, data), data.qpos, data.qvel, data.qfrc_bias, data.qM, data.site_xpos,
             data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),
         )  # fmt: skip
 
@@ -66,7 +65,7 @@ class Episodes(NamedTuple):
     """All that is remembered of E episodes between two control steps."""
 
     state: np.ndarray
-    """``(E, S)`` MuJoCo's integration state."""
+    """``(E, S)``: the rows of the engine."""
     grip: np.ndarray
     """``(E,)`` command of the gripper, ramped over ten control steps: hidden from the policy."""
     rest: np.ndarray

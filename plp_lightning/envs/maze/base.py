@@ -1,9 +1,10 @@
-"""What all bodies in a maze share: tasks, starts, success."""
+"""A body in a maze: tasks, starts, success."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -11,12 +12,14 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
-from plp_lightning.envs.base import FloorPlan, Simulator, Step
+from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.maze.layout import LAYOUTS, Frame
 from plp_lightning.envs.maze.walker_model import Box
+from plp_lightning.envs.tasks import Tasks
+from plp_lightning.envs.views import FloorPlan
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.maze.rollout import BatchedPhysics
+    from plp_lightning.envs.maze.physics import MazePhysics
 
 LayoutName = Literal["umaze", "medium"]
 FrameName = Literal["d4rl", "gymnasium"]
@@ -42,7 +45,7 @@ class Maze(Simulator):
     _wall_height: ClassVar[float]
     """Height of the walls, in m."""
     _forward: ClassVar[bool]
-    """Whether Gymnasium-Robotics computes forces before each control step."""
+    """True if Gymnasium-Robotics computes forces before each control step."""
     horizons: ClassVar[dict[str, int]]
     """Default horizon of each layout."""
 
@@ -64,25 +67,11 @@ class Maze(Simulator):
         self._radius = radius * self.scale
         self._jitter = jitter
         self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
-        self._physics: BatchedPhysics | None = None
 
     @property
-    def tasks(self) -> tuple[str, ...]:
-        """Names of all tasks: ``s<zone>_g_<row>_<column>``, and ``detour_<row>_<column>`` in medium."""
-        return tuple(self.layout.tasks)
-
-    def target_tasks(self, target: str) -> tuple[str, ...]:
-        """Tasks of a target: of a goal ``goal_<row>_<column>`` one for each start zone that has another cell."""
-        return self.layout.target_tasks(target)
-
-    def target_of(self, task: str) -> str:
-        """The goal that a shortest-path task ends at, ``goal_<row>_<column>``; a detour is a target of its own."""
-        found = self.layout.task(task)
-        return task if found.avoid else "goal_{}_{}".format(*found.goal)
-
-    def proxy_tasks(self, target: str) -> tuple[str, ...]:
-        """All shortest-path tasks that end at another goal than ``target``, a goal or a task."""
-        return self.layout.proxy_tasks(target)
+    def tasks(self) -> Tasks:
+        """The maze's: ``s<zone>_g_<row>_<column>``, and ``detour_<row>_<column>`` in medium; targets are goals."""
+        return self.layout.tasks
 
     def spec(self, name: str) -> DomainSpec:
         """Observation and action space: positions in m, velocities in m/s or rad/s, in the maze's frame."""
@@ -95,28 +84,26 @@ class Maze(Simulator):
             ConfigError: If this maze has no such task.
         """
         chosen = [self.layout.task(name) for name in tasks]
-        if self._physics is None:
-            self._physics = self._build()
         starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
         self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
         for pending, task in zip(self._pending, chosen, strict=True):
             for cell in self.layout.via(task):
                 pending[cell] = True
-        self._states = self._physics.initial_states(len(chosen))
-        self._states[:, self._physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
-        self._states = self._physics.forward(self._states)
-        self._visit(np.arange(len(chosen)))
-        return self._observe(self._states)
+        everyone, physics = np.arange(len(chosen)), self._physics
+        physics.begin(len(chosen))
+        physics.states[:, physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
+        physics.hold(everyone, np.zeros((len(chosen), self._action_size)), substeps=0, forward=True)
+        self._visit(everyone)
+        return self._observe(everyone)
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Apply ``actions (n, A)``; an episode whose physics diverged is invalid and keeps its last valid state."""
-        assert self._physics is not None, "reset comes before step"
         controls = self.actions_in_maze(np.clip(actions.astype(np.float64), -1, 1))
-        states, valid = self._physics.step(self._before_step(self._states[episodes]), controls)
-        self._states[episodes] = states
+        self._before_step(episodes)
+        valid = self._physics.hold(episodes, controls, self.frame_skip, self._forward)
         self._visit(episodes)
-        return Step(self._observe(states), valid & self._succeeded(episodes), ~valid)
+        return Step(self._observe(episodes), valid & self._succeeded(episodes), ~valid)
 
     def states_in_maze(self, states: np.ndarray) -> np.ndarray:
         """States ``(n, O)`` that this domain shows, as the physics has them."""
@@ -135,18 +122,18 @@ class Maze(Simulator):
         return actions
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
-        """Where observed states ``(n, O)`` are: fractional row and column of the maze, ``(n, 2)``."""
+        """Fractional row and column ``(n, 2)`` of the maze that observed states ``(n, O)`` are at."""
         return self.frame.cells(self.states_in_maze(state)[:, :2])
 
     def floor_plan(self) -> FloorPlan:
         """The drawing of the maze in rows and columns, so that the same maze looks the same for all bodies."""
-        goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.tasks.items()}
+        goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.by_name.items()}
         return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
 
     @property
     @abstractmethod
     def _body(self) -> str:
-        """What walks in the maze."""
+        """Name of the body in the maze."""
 
     @property
     @abstractmethod
@@ -165,33 +152,28 @@ class Maze(Simulator):
     def _d4rl_frame(self) -> Frame:
         """D4RL's frame for this body."""
 
-    def _build(self) -> BatchedPhysics:
-        import mujoco  # with numba half a second, which listing tasks need not pay
-
-        from plp_lightning.envs.maze.rollout import BatchedPhysics
+    @cached_property
+    def _physics(self) -> MazePhysics:
+        from plp_lightning.envs.maze.physics import MazePhysics  # half a second that listing tasks need not pay
 
         centres = self.frame.centres(np.array(self.layout.walls)).tolist()
         walls = [Box(x, y, self.scale / 2, self._wall_height / 2) for x, y in centres]
-        model = mujoco.MjModel.from_xml_string(self._mjcf(walls))
-        return BatchedPhysics(model, self.frame_skip, self._forward, self.threads)
+        return MazePhysics(self._mjcf(walls), self.threads)
 
     def _start(self, cells: Sequence[tuple[int, int]], seed: int) -> np.ndarray:
         rng = start_generator(seed)
         place: np.ndarray = np.array(cells[rng.integers(len(cells))]) + rng.uniform(-self._jitter, self._jitter, 2)
         return place
 
-    def _before_step(self, states: np.ndarray) -> np.ndarray:
-        """What happens to the physical states ``(n, S)`` before each control step."""
-        return states
+    def _before_step(self, rows: np.ndarray) -> None:
+        """Change the physical states of ``rows (n,)`` before a control step."""
 
-    def _observe(self, states: np.ndarray) -> Observation[np.ndarray]:
-        assert self._physics is not None
-        observed = np.concatenate([states[:, self._physics.qpos], states[:, self._physics.qvel]], axis=1)
-        return Observation(self.states_of_domain(observed).astype(np.float32))
+    def _observe(self, rows: np.ndarray) -> Observation[np.ndarray]:
+        physical = self._physics.states[rows, self._physics.physical]
+        return Observation(self.states_of_domain(physical).astype(np.float32))
 
-    def _positions(self, episodes: np.ndarray) -> np.ndarray:
-        assert self._physics is not None
-        positions: np.ndarray = self._states[episodes, self._physics.qpos][:, :2]
+    def _positions(self, rows: np.ndarray) -> np.ndarray:
+        positions: np.ndarray = self._physics.states[rows, self._physics.qpos][:, :2]
         return positions
 
     def _visit(self, episodes: np.ndarray) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from datamodules.errors import ConfigError
+from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -31,9 +31,8 @@ class MazeTask(NamedTuple):
 class Layout:
     """A maze drawn in characters, ``#`` for walls.
 
-    A task is a pair of a start zone and a goal cell, named ``s<zone>_g_<row>_<column>``. The target of an
-    experiment is a goal, ``goal_<row>_<column>``: all tasks that end there. A detour, ``detour_<row>_<column>``, is
-    one task and a target of its own: the goal counts only by the long way round.
+    A task is a pair of a start zone and a goal cell, named ``s<zone>_g_<row>_<column>``, or a detour,
+    ``detour_<row>_<column>``: its goal counts only by the long way round.
 
     Args:
         rows: The drawing.
@@ -66,7 +65,7 @@ class Layout:
         return nearest
 
     @cached_property
-    def tasks(self) -> Mapping[str, MazeTask]:
+    def by_name(self) -> Mapping[str, MazeTask]:
         """All tasks by name: for each goal those of its start zones, then the detours."""
         zones = range(len(self.zones))
         tasks = {
@@ -74,38 +73,28 @@ class Layout:
         }
         return tasks | {"detour_{}_{}".format(*detour.goal): detour for detour in self.detours}
 
+    @cached_property
+    def tasks(self) -> Tasks:
+        """The same as tasks of a domain.
+
+        A target is a goal, ``goal_<row>_<column>``, with all tasks that end there but the detour, which is one of its
+        own. Its proxies are the shortest-path tasks whose goal is another.
+        """
+        targets: dict[str, tuple[str, ...]] = {}
+        for name, task in self.by_name.items():
+            if not task.avoid:
+                goal = "goal_{}_{}".format(*task.goal)
+                targets[goal] = (*targets.get(goal, ()), name)
+        return Tasks("this maze", tuple(self.by_name), targets, self._is_proxy)
+
     def task(self, name: str) -> MazeTask:
         """The task of that name.
 
         Raises:
             ConfigError: If this maze has no such task.
         """
-        if name not in self.tasks:
-            first, last = next(iter(self.tasks)), next(reversed(list(self.tasks)))
-            raise ConfigError(
-                f"unknown maze task {name!r}; expected one of the {len(self.tasks)} from {first} to {last}"
-            )
-        return self.tasks[name]
-
-    def target_tasks(self, target: str) -> tuple[str, ...]:
-        """Tasks that make up a target: those that end at a goal, or one detour, or one task named itself.
-
-        Raises:
-            ConfigError: If this maze has no such target.
-        """
-        goals = {"goal_{}_{}".format(*cell): cell for cell in self.cells}
-        if target in goals:
-            return tuple(name for name, task in self.tasks.items() if task.goal == goals[target] and not task.avoid)
-        if target in self.tasks:
-            return (target,)
-        raise ConfigError(
-            f"unknown maze target {target!r}; expected one of: {', '.join([*goals, *self._detour_names])}"
-        )
-
-    def proxy_tasks(self, target: str) -> tuple[str, ...]:
-        """Shortest-path tasks whose goal is not the target's."""
-        goal = self.tasks[self.target_tasks(target)[0]].goal
-        return tuple(name for name, task in self.tasks.items() if task.goal != goal and not task.avoid)
+        self.tasks.check([name])
+        return self.by_name[name]
 
     def starts(self, task: MazeTask) -> tuple[Cell, ...]:
         """Cells where a task may begin: its zone without the goal."""
@@ -127,9 +116,8 @@ class Layout:
         on_all = [set(_path(long, start)) for start in self.starts(task)]
         return frozenset(set.intersection(*on_all).difference(*(_path(short, start) for start in self.starts(task))))
 
-    @property
-    def _detour_names(self) -> list[str]:
-        return [name for name, task in self.tasks.items() if task.avoid]
+    def _is_proxy(self, task: str, target: str) -> bool:
+        return not self.by_name[task].avoid and self.by_name[task].goal != self.by_name[target].goal
 
     @cached_property
     def _graph(self) -> nx.Graph:
@@ -160,7 +148,7 @@ def _path(way: Mapping[Cell, Cell], start: Cell) -> list[Cell]:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where cells lie in a simulator's plane.
+    """Places of cells in a simulator's plane.
 
     Args:
         origin: Centre of cell (0, 0), in m.

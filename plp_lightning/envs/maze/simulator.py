@@ -102,11 +102,9 @@ class PointMaze(Maze):
         # In D4RL the ball's joints are zero at 1.2, the walls stand at whole numbers from 1.
         return Frame((-0.2, -0.2), (1.0, 0.0), (0.0, 1.0))
 
-    def _before_step(self, states: np.ndarray) -> np.ndarray:
-        assert self._physics is not None
-        limited = states.copy()
-        limited[:, self._physics.qvel] = np.clip(states[:, self._physics.qvel], -5.0, 5.0)
-        return limited
+    def _before_step(self, rows: np.ndarray) -> None:
+        states, qvel = self._physics.states, self._physics.qvel
+        states[rows, qvel] = np.clip(states[rows, qvel], -5.0, 5.0)
 
     def _mjcf(self, walls: Sequence[Box]) -> str:
         # The dynamics of gymnasium_robotics/envs/assets/point/point.xml, to the last bit.

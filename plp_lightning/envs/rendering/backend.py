@@ -1,4 +1,4 @@
-"""Which OpenGL draws images without a screen: EGL if it works here, else OSMesa; both run on the processor alone.
+"""The OpenGL that draws images without a screen: EGL if it works here, else OSMesa; both run on the processor alone.
 
 Importing this module imports neither MuJoCo nor OpenGL.
 """
@@ -15,7 +15,7 @@ from datamodules.errors import UserError
 Backend = Literal["egl", "osmesa"]
 
 PACKAGES: dict[Backend, str] = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-"""What Debian and Ubuntu call what a backend needs."""
+"""Packages of Debian and Ubuntu that a backend needs."""
 
 _PLATFORM_DEVICE = 0x313F  # EGL_PLATFORM_DEVICE_EXT
 _MOST_DEVICES = 16
@@ -52,7 +52,7 @@ def missing(backend: Backend) -> str:
 
 @cache
 def works(backend: Backend) -> bool:
-    """Whether the backend's library is there and, for EGL, a device that can be initialised."""
+    """True if the backend's library is there and, for EGL, a device that can be initialised."""
     _keep_to_calling_threads()
     try:
         if backend == "osmesa":
@@ -68,7 +68,7 @@ def _keep_to_calling_threads() -> None:
 
 
 def _egl_initialises(egl: ctypes.CDLL) -> bool:
-    """Whether any device of EGL can be initialised, asked as MuJoCo does, but before PyOpenGL settles on EGL."""
+    """True if any device of EGL can be initialised, asked as MuJoCo does, but before PyOpenGL settles on EGL."""
     egl.eglGetProcAddress.restype = ctypes.c_void_p
     pointer, number = ctypes.c_void_p, ctypes.c_int32
     addresses = [egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")]

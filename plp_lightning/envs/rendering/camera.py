@@ -18,7 +18,7 @@ _OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
 
 
 class Viewpoint(NamedTuple):
-    """Where a camera stands, and what it looks at."""
+    """A camera's place, and the point that it looks at."""
 
     azimuth: float
     """Direction of the view around the vertical, degrees; 90 looks along +y."""

@@ -1,4 +1,4 @@
-"""How fast each backend draws here; PyOpenGL settles on one for good, so each is asked in a process of its own."""
+"""The speed of each backend here; PyOpenGL settles on one for good, so each is asked in a process of its own."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ BALL_RADIUS = 0.03
 UNSEEN = ("torso", "pedestal_feet", "controller_box")
 """Parts of the robot that are in none of our pictures."""
 WELD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 5.0)
-"""How Meta-World welds the hand to the point that it follows (``SawyerMocapBase.reset_mocap_welds``)."""
+"""Meta-World's weld of the hand to the point that it follows (``SawyerMocapBase.reset_mocap_welds``)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class TabletopModel:
     furniture: np.ndarray
     """Rows in mocap_pos of what stands elsewhere in each episode: the balls, or the window."""
     object_qpos: slice
-    """Where in qpos the puck's position is, or how far the window is open."""
+    """Place in qpos of the puck's position, or of how far the window is open."""
     object_qvel: slice
     """Speeds that are zero at the start of an episode."""
 
@@ -118,6 +118,4 @@ def read_scene(name: str) -> mujoco.MjSpec:
 def _finish(spec: mujoco.MjSpec, image_size: int) -> mujoco.MjModel:
     model = lighten(spec, UNSEEN, image_size)
     model.eq_data[:] = WELD
-    # A diverged episode must be seen, not restarted in silence.
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     return model

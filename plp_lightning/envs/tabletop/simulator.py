@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from difflib import get_close_matches
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ from datamodules.errors import ConfigError
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
-from plp_lightning.envs.threads import available_cores
+from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
     from plp_lightning.envs.tabletop.model import TabletopModel
@@ -37,21 +37,21 @@ RADIUS = 0.05
 SLOTS = np.array([[-0.15, 0.8, 0.15], [0.0, 0.8, 0.15], [0.15, 0.8, 0.15]])
 """Places of the balls, m."""
 REACH_HAND = np.array([[-0.15, 0.5, 0.1], [0.15, 0.65, 0.3]])
-"""Where the hand starts in Reach: lowest and highest, m."""
+"""Lowest and highest start of the hand in Reach, m."""
 PUCK = np.array([0.0, 0.0, 100.0])
 """Meta-World's puck is of no use here; it falls from so high that it never arrives."""
 WINDOW_HAND = np.array([[-0.1, 0.4, 0.15], [0.1, 0.5, 0.25]])
 WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])
-"""Where the window may stand: least and greatest x and y, m."""
+"""Least and greatest x and y of the window's place, m."""
 WINDOW_Z = 0.16
 SLIDE = 0.2
-"""How far the window opens, m."""
+"""Way that the window opens, m."""
 AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}
 """Window-Close, by quarter of the area."""
 
 
 class Tabletop(Simulator):
-    """What Reach and Window have in common: hand, camera, stepping.
+    """A scene on the table: hand, camera, stepping.
 
     The action moves the point that the hand follows by up to 1 cm along x, y and z; its fourth number opens (negative)
     or closes (positive) the gripper. Control runs at 80 Hz.
@@ -74,16 +74,6 @@ class Tabletop(Simulator):
         if horizon < 1 or threads < 0:
             raise ConfigError(f"horizon is {horizon}, threads is {threads}; expected at least 1 and at least 0")
         self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
-        self._physics: TabletopPhysics | None = None
-
-    def proxy_tasks(self, target: str) -> tuple[str, ...]:
-        """All tasks but ``target``.
-
-        Raises:
-            ConfigError: If there is no such task.
-        """
-        self._check(target)
-        return tuple(task for task in self.tasks if task != target)
 
     def spec(self, name: str) -> DomainSpec:
         """An image, and position of the hand and opening of the gripper, now and one control step ago."""
@@ -94,7 +84,8 @@ class Tabletop(Simulator):
             ObservationKey("last_hand_pos", (3,), unit="m"),
             ObservationKey("last_gripper", (1,)),
         )
-        return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=f"Meta-World {self._family}, {self.view}")
+        env = f"Meta-World {self.tasks.family}, {self.view}"
+        return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=env)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the hand in the world, ``(N, 3)``, m."""
@@ -108,29 +99,20 @@ class Tabletop(Simulator):
             ConfigError: If a task is unknown.
             UserError: If images cannot be drawn on this machine.
         """
-        for task in tasks:
-            self._check(task)
+        self.tasks.check(tasks)
         layouts = [self._layout(task, self._stream(seed)) for task, seed in zip(tasks, seeds, strict=True)]
-        if self._physics is None:
-            self._physics = self._build()
         first = self._physics.reset(layouts)
         self._begin(tasks, layouts)
         return first
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
-        rows = np.asarray(episodes, dtype=np.int64)
-        observation, invalid = self._running.step(np.asarray(actions, dtype=np.float64), rows)
-        return Step(observation, self._solved(rows) & ~invalid, invalid)
+        observation, invalid = self._physics.step(actions, episodes)
+        return Step(observation, self._solved(episodes) & ~invalid, invalid)
 
     @abstractmethod
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Where the ball or handle of each of the ``episodes (n,)`` is, ``(n, 3)``, m: for experts, not policies."""
-
-    @property
-    @abstractmethod
-    def _family(self) -> str:
-        """Name of the scene."""
+        """Place ``(n, 3)`` of the ball or handle in each of the ``episodes (n,)``, m: for experts, not policies."""
 
     @abstractmethod
     def _layout(self, task: str, stream: np.random.Generator) -> Layout: ...
@@ -144,12 +126,8 @@ class Tabletop(Simulator):
     @abstractmethod
     def _solved(self, rows: np.ndarray) -> np.ndarray: ...
 
-    @property
-    def _running(self) -> TabletopPhysics:
-        assert self._physics is not None, "reset comes before step"
-        return self._physics
-
-    def _build(self) -> TabletopPhysics:
+    @cached_property
+    def _physics(self) -> TabletopPhysics:
         from plp_lightning.envs.rendering.backend import choose_backend
 
         choose_backend()  # before MuJoCo is imported, which asks for it then
@@ -157,17 +135,11 @@ class Tabletop(Simulator):
         from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
         viewpoint = Viewpoint(*VIEWS[self.view])
-        return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads or available_cores())
+        return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads)
 
     def _stream(self, seed: int) -> np.random.Generator:
         # The view joins the seed, so that equal seeds do not align the domains' episodes.
-        return start_generator(seed, f"{self._family} {self.view}")
-
-    def _check(self, task: str) -> None:
-        if task not in self.tasks:
-            near = get_close_matches(task, self.tasks, n=1, cutoff=0.0)[0]
-            known = ", ".join(self.tasks)
-            raise ConfigError(f"no task {task!r} in {self._family}; expected one of: {known}; did you mean {near!r}?")
+        return start_generator(seed, f"{self.tasks.family} {self.view}")
 
 
 class Reach(Tabletop):
@@ -177,24 +149,17 @@ class Reach(Tabletop):
     states of an episode do not depend on its task.
     """
 
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """The colours."""
-        return ("red", "green", "blue")
+    tasks = Tasks("V2V-Reach", ("red", "green", "blue"))
 
     def arrangement(self, task: str, seed: int) -> str:
         """The balls in the order of their places, ``red green blue`` for instance; the task does not matter."""
         _, order = _draw_reach(self._stream(seed))
-        return " ".join(self.tasks[ball] for ball in np.argsort(order))
+        return " ".join(self.tasks.names[ball] for ball in np.argsort(order))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Where the ball to be touched is, ``(n, 3)``, m."""
+        """Place ``(n, 3)`` of the ball to be touched, m."""
         aims: np.ndarray = self._balls[episodes, self._goal[episodes]]
         return aims
-
-    @property
-    def _family(self) -> str:
-        return "V2V-Reach"
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
         from plp_lightning.envs.tabletop.physics import Layout
@@ -209,11 +174,11 @@ class Reach(Tabletop):
 
     def _begin(self, tasks: Sequence[str], layouts: Sequence[Layout]) -> None:
         self._balls = np.array([layout.furniture for layout in layouts]).reshape(-1, 3, 3)
-        self._goal = np.array([self.tasks.index(task) for task in tasks], dtype=np.int64)
+        self._goal = np.array([self.tasks.names.index(task) for task in tasks], dtype=np.int64)
         self._touched = np.full(len(tasks), -1)
 
     def _solved(self, rows: np.ndarray) -> np.ndarray:
-        fingers = self._running.sites[rows].mean(axis=1, keepdims=True)
+        fingers = self._physics.sites[rows].mean(axis=1, keepdims=True)
         near = np.linalg.norm(fingers - self._balls[rows], axis=-1) <= RADIUS
         first = (self._touched[rows] < 0) & near.any(axis=1)
         self._touched[rows[first]] = near[first].argmax(axis=1)
@@ -224,19 +189,12 @@ class Reach(Tabletop):
 class Window(Tabletop):
     """Close a window that stands in a known quarter of the table, or open one that stands anywhere on it."""
 
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """``close_x0y0`` to ``close_x1y1``, by quarter, and ``open``."""
-        return (*AREAS, "open")
+    tasks = Tasks("V2V-Open", (*AREAS, "open"))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Where the handle is, ``(n, 3)``, m."""
-        handle: np.ndarray = self._running.sites[episodes, self._handle[episodes]]
+        """Place ``(n, 3)`` of the handle, m."""
+        handle: np.ndarray = self._physics.sites[episodes, self._handle[episodes]]
         return handle
-
-    @property
-    def _family(self) -> str:
-        return "V2V-Open"
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
         from plp_lightning.envs.tabletop.physics import Layout
@@ -263,5 +221,5 @@ class Window(Tabletop):
 
 
 def _draw_reach(stream: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Where the hand begins, and the place of each ball."""
+    """Place of the hand at the start, and of each ball."""
     return stream.uniform(*REACH_HAND), stream.permutation(len(SLOTS))

@@ -1,7 +1,6 @@
 """CDIL's translation of states, learned from unpaired, unaligned trajectories without looking at any action."""
 
-from __future__ import annotations
-
+# No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple

@@ -63,8 +63,8 @@ def test_other_simulators_are_refused() -> None:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_solves_every_task(robot: Robot) -> None:
     lift, expert = Lift(robot), LiftExpert()
-    observation, seeds = lift.reset(lift.tasks, range(27)), range(27)
-    expert.begin(lift, lift.tasks, seeds)
+    observation, seeds = lift.reset(lift.tasks.names, range(27)), range(27)
+    expert.begin(lift, lift.tasks.names, seeds)
     live, solved = np.arange(27), 0
     for _ in range(80):
         step = lift.step(expert.act(observation, live), live)

@@ -71,7 +71,7 @@ def test_solves_every_task(simulator: Tabletop, expert: Expert, monkeypatch: pyt
     monkeypatch.setattr(backend, "choose_backend", lambda: "egl")
     monkeypatch.setattr(physics.Camera, "__init__", lambda *_: None)
     monkeypatch.setattr(physics.Camera, "image", lambda *_: None)
-    tasks = list(simulator.tasks) * (15 // len(simulator.tasks))
+    tasks = list(simulator.tasks.names) * (15 // len(simulator.tasks.names))
     observation = simulator.reset(tasks, range(15))
     expert.begin(simulator, tasks, range(15))
     live, solved = np.arange(15), 0

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 
-import mujoco
 import numpy as np
 import pytest
 from safetensors.numpy import save_file
@@ -10,7 +9,7 @@ from safetensors.numpy import save_file
 from datamodules.errors import CheckpointError, ConfigError
 from plp_lightning.envs.experts.gait import Gait, Symmetry, gait_path, provenance
 from plp_lightning.envs.experts.walker import WalkerExpert
-from plp_lightning.envs.maze.rollout import BatchedPhysics
+from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.maze.walker_model import walker_mjcf
 
@@ -22,14 +21,15 @@ def heading(angle: float) -> np.ndarray:
 @pytest.mark.parametrize("legs", [4, 6])
 def test_turned_body_moves_as_the_body_does(legs):
     """Walking in direction 0.1 and in a direction k n-ths of a turn further are one motion, turned."""
-    physics = BatchedPhysics(mujoco.MjModel.from_xml_string(walker_mjcf(legs)), frame_skip=5, threads=1)
+    walker = MazePhysics(walker_mjcf(legs), threads=1)
     symmetry = Symmetry(legs)
     directions = np.concatenate([heading(0.1 + 2 * np.pi * k / legs) for k in range(legs)])
-    states, rng = physics.initial_states(legs), np.random.default_rng(0)
+    walker.begin(legs)
+    rng = np.random.default_rng(0)
     for _ in range(20):
         action = np.repeat(rng.uniform(-1, 1, (1, 2 * legs)), legs, axis=0)
-        states, _ = physics.step(states, symmetry.torques(action, symmetry.turns(directions)))
-        seen = symmetry.turn(np.concatenate([states[:, physics.qpos], states[:, physics.qvel]], axis=1), directions)
+        walker.hold(np.arange(legs), symmetry.torques(action, symmetry.turns(directions)), substeps=5)
+        seen = symmetry.turn(walker.states[:, walker.physical], directions)
         np.testing.assert_allclose(seen, np.repeat(seen[:1], legs, axis=0), atol=1e-6)
     assert np.abs(seen[0, 5:]).max() > 0.1, "it moved"
 
@@ -102,7 +102,7 @@ def test_gait_must_fit_the_body(tmp_path):
 @pytest.mark.parametrize("legs", [4, 6])
 def test_gaits_of_the_package_walk(legs):
     maze, expert = WalkerMaze("umaze", legs=legs), WalkerExpert()
-    tasks, seeds = list(maze.tasks), list(range(21))
+    tasks, seeds = list(maze.tasks.names), list(range(21))
     observation, running = maze.reset(tasks, seeds), np.arange(21)
     expert.begin(maze, tasks, seeds)
     success = np.zeros(21, dtype=bool)

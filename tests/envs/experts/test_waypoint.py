@@ -70,13 +70,13 @@ def test_controller_by_hand():
 @pytest.mark.parametrize("shifted", [False, True])
 def test_source_and_target_of_p2p_are_demonstrated(frame, shifted):
     maze = PointMaze("umaze", swap_axes=shifted, negate_actions=shifted, frame=frame)
-    tasks = list(maze.tasks) * 3
+    tasks = list(maze.tasks.names) * 3
     assert solved(maze, WaypointExpert(), tasks, list(range(len(tasks)))).all()
 
 
 def test_every_task_of_medium_is_solved_and_detours_by_the_long_way():
     maze = PointMaze("medium")
-    tasks = [*maze.tasks, *["detour_6_1", "detour_6_2", "detour_3_2"] * 5]
+    tasks = [*maze.tasks.names, *["detour_6_1", "detour_6_2", "detour_3_2"] * 5]
     success = solved(maze, WaypointExpert(), tasks, list(range(len(tasks))))
     assert success.all(), [task for task, done in zip(tasks, success, strict=True) if not done]
 

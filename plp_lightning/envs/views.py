@@ -1,0 +1,69 @@
+"""Views that a simulator may have beside its observations, for pictures and scores; training and testing need none.
+
+A simulator has a view if it has the method. Whoever needs one asks for it here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from datamodules.errors import UserError
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """A domain from above, in the frame of shared positions: the first axis down, the second right.
+
+    Args:
+        walls: Centres of the square blocks that walls are made of, ``(W, 2)``.
+        side: Side of a block.
+        goals: Where each task ends.
+        radius: Distance from its goal at which a task is solved.
+    """
+
+    walls: np.ndarray
+    side: float
+    goals: Mapping[str, tuple[float, float]]
+    radius: float
+
+
+@runtime_checkable
+class Located(Protocol):
+    """A simulator whose states are somewhere in a frame that all domains of an experiment share."""
+
+    def shared_position(self, state: np.ndarray) -> np.ndarray:
+        """Places ``(N, P)`` of raw states ``(N, O)``: two domains' states correspond if they are at one place."""
+
+
+@runtime_checkable
+class Planned(Located, Protocol):
+    """A simulator that can be drawn from above."""
+
+    def floor_plan(self) -> FloorPlan:
+        """Walls and goals, in the frame of :meth:`shared_position`."""
+
+
+@runtime_checkable
+class Arranged(Protocol):
+    """A simulator whose episodes of a task differ by more than continuous amounts."""
+
+    def arrangement(self, task: str, seed: int) -> str:
+        """A word for what an episode of ``task`` with ``seed`` holds in which place."""
+
+
+def located(simulator: object) -> Located:
+    """The simulator, if it knows a position that domains share.
+
+    Raises:
+        UserError: If it does not.
+    """
+    if not isinstance(simulator, Located):
+        raise UserError(
+            f"{type(simulator).__name__} knows no position that domains share; give it shared_position(state), "
+            "or choose another --score"
+        )
+    return simulator
