@@ -65,8 +65,6 @@ class TransferDataModule(LightningDataModule):
         self._loader: Loader | None = None
         self._cursor: Mapping[str, int] | None = None
 
-    # -- what is needed, and what is there ---------------------------------------------------------
-
     def needed(self) -> dict[str, dict[str, int]]:
         """Demonstrations that the experiment needs: ``needed[domain][task]``."""
         wanted, needed = self.demonstrations, dict[str, dict[str, int]]()
@@ -105,8 +103,6 @@ class TransferDataModule(LightningDataModule):
                 if self.collector is None:
                     raise MissingTrajectoriesError(_lack(self.path, missing))
                 self.collector(self.path, missing)
-
-    # -- datasets and their parts --------------------------------------------------------------------
 
     @cached_property
     def datasets(self) -> dict[str, DomainDataset]:
@@ -164,8 +160,6 @@ class TransferDataModule(LightningDataModule):
         """Statistics ``(O,)`` of the raw states that the alignment phase trains on, by domain."""
         rows = self.rows(self.proxy_tasks, "train")
         return {d: Statistics.fit(self.datasets[d].observation.state.numpy()[r]) for d, r in rows.items()}
-
-    # -- batches -----------------------------------------------------------------------------------
 
     def loader(self, batch_spec: BatchSpec) -> Loader:
         """Training batches of a phase."""

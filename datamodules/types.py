@@ -117,11 +117,10 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         if len(self.observation.state) - len(self.actions) not in (0, 1) or len(self.actions) == 0:
-            raise UserError(
-                f"trajectory of task {self.task!r} in domain {self.domain!r} has {len(self.observation.state)} "
-                f"observations and {len(self.actions)} actions; expected at least one action, and as many observations "
-                "or one more, of what was seen last"
-            )
+            found = f"{len(self.observation.state)} observations and {len(self.actions)} actions"
+            expected = "at least one action, and as many observations or one more, of what was seen last"
+            place = f"trajectory of task {self.task!r} in domain {self.domain!r}"
+            raise UserError(f"{place} has {found}; expected {expected}")
 
     def __len__(self) -> int:
         return len(self.actions)

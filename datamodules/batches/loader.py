@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Protocol
+from collections.abc import Iterator, Mapping
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from datamodules.batches.dataset import DomainDataset, thin_out
 from datamodules.batches.orders import PairOrder
 from datamodules.types import Batch, BatchSpec, PackedTrajectories, Steps
 
+Datasets: TypeAlias = Mapping[str, DomainDataset]
 PLAIN = BatchSpec()
 
 
@@ -29,15 +30,9 @@ class Order(Protocol):
 
 
 class PairSource:
-    """Trajectory pairs of a step, thinned out.
+    """Trajectory pairs of a step, thinned out: one of ``stride`` frames is kept."""
 
-    Args:
-        datasets: Steps by domain.
-        order: The pairs of each step.
-        stride: One of so many frames is kept.
-    """
-
-    def __init__(self, datasets: Mapping[str, DomainDataset], order: PairOrder, stride: int) -> None:
+    def __init__(self, datasets: Datasets, order: PairOrder, stride: int) -> None:
         self.datasets, self.order, self.stride = datasets, order, stride
 
     def __call__(self, epoch: int, step: int) -> dict[str, PackedTrajectories]:
@@ -51,21 +46,11 @@ class Loader:
     """Gathers each step's batch from datasets in memory.
 
     The cursor always points at the next batch to yield, so ``state_dict`` taken while a batch is being
-    trained on says where to go on after it.
-
-    Args:
-        datasets: Steps by domain.
-        order: Rows of each step.
-        pairs: Trajectory pairs of a step; None if no loss asks for them.
-        batch_spec: Contents of steps.
+    trained on says where to go on after it. Without a source of pairs, batches hold steps alone.
     """
 
     def __init__(
-        self,
-        datasets: Mapping[str, DomainDataset],
-        order: Order,
-        pairs: Callable[[int, int], dict[str, PackedTrajectories]] | None = None,
-        batch_spec: BatchSpec = PLAIN,
+        self, datasets: Datasets, order: Order, pairs: PairSource | None = None, batch_spec: BatchSpec = PLAIN
     ) -> None:
         self.datasets, self.order, self.pairs, self.batch_spec = datasets, order, pairs, batch_spec
         self._next_epoch, self._next_step = 0, 0
@@ -93,21 +78,10 @@ class Loader:
 
 
 class FixedBatches:
-    """Held-out steps in order, a domain after the other; the same batches at every pass.
-
-    Args:
-        datasets: Steps by domain.
-        rows: Rows ``(n,)`` of each domain.
-        batch_size: Steps in a batch.
-        batch_spec: Contents of steps.
-    """
+    """Held-out steps of ``rows (n,)`` by domain, in order, a domain after the other; the same batches at every pass."""
 
     def __init__(
-        self,
-        datasets: Mapping[str, DomainDataset],
-        rows: Mapping[str, np.ndarray],
-        batch_size: int,
-        batch_spec: BatchSpec = PLAIN,
+        self, datasets: Datasets, rows: Mapping[str, np.ndarray], batch_size: int, batch_spec: BatchSpec = PLAIN
     ) -> None:
         self.datasets, self.batch_spec = datasets, batch_spec
         self.chunks = [(d, r[i : i + batch_size]) for d, r in rows.items() for i in range(0, len(r), batch_size)]
@@ -123,16 +97,11 @@ class FixedBatches:
 class FixedPairs:
     """Each trajectory of a domain once, whole, beside one of its task in another domain; the same at every pass.
 
-    Args:
-        datasets: Steps by domain.
-        episodes: Trajectory ids ``episodes[domain][task] (n,)`` in two domains. Those of the second come once each;
-            those of the first take turns beside them. Tasks that the first lacks are left out.
-        count: Pairs in a batch.
+    Of the trajectory ids ``episodes[domain][task] (n,)`` in two domains, those of the second come once each; those of
+    the first take turns beside them. Tasks that the first lacks are left out. A batch holds ``count`` pairs.
     """
 
-    def __init__(
-        self, datasets: Mapping[str, DomainDataset], episodes: Mapping[str, Mapping[int, np.ndarray]], count: int
-    ) -> None:
+    def __init__(self, datasets: Datasets, episodes: Mapping[str, Mapping[int, np.ndarray]], count: int) -> None:
         self.datasets, self.domains = datasets, tuple(episodes)
         first, second = episodes.values()
         turns = [np.resize(first[task], len(ids)) for task, ids in second.items() if task in first]

@@ -48,12 +48,7 @@ class Affine:
 
     @classmethod
     def build(cls, spec: DomainSpec, statistics: Statistics, scaling: Mapping[str, Scaling]) -> Affine:
-        """Scale the columns ``(O,)`` of a domain's states.
-
-        Args:
-            spec: The domain.
-            statistics: Statistics ``(O,)`` of its raw states.
-            scaling: Scaling by observation key; ``default`` serves the keys that are not named.
+        """Scale the columns ``(O,)`` of a domain's states by observation key; ``default`` serves keys without a name.
 
         Raises:
             ConfigError: If ``scaling`` holds a word that is no scaling.

@@ -14,15 +14,9 @@ from pathlib import Path
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[int]:
-    """Let one writer at a time, of any process, work in ``folder``; killed writers let go.
+    """Let one writer at a time, of any process, work in an existing folder; killed writers let go.
 
     Where the file system has no such locks the block runs unlocked, as two writers at once are rare.
-
-    Args:
-        folder: An existing folder.
-
-    Yields:
-        A descriptor of the folder.
     """
     with _opened(folder) as descriptor:
         with contextlib.suppress(OSError):
@@ -34,13 +28,8 @@ def locked_folder(folder: Path) -> Iterator[int]:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path in the same folder that takes the place of ``path`` if the block succeeds.
 
-    Call it inside :func:`locked_folder`: leftovers of writers that were killed are swept first.
-
-    Args:
-        path: Where the finished file shall be.
-
-    Yields:
-        Where to write it. If the block raises, this file is removed and ``path`` stays as it was.
+    Call it inside :func:`locked_folder`: leftovers of writers that were killed are swept first. If the block raises,
+    the temporary file is removed and ``path`` stays as it was.
     """
     for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         leftover.unlink(missing_ok=True)

@@ -81,11 +81,7 @@ def stored_episodes(file: TrajectoryFile, domain: str) -> list[Episode]:
 def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episode]], compress: bool) -> None:
     """Write a file beside ``path``, read it back, and put it in its place; call it with the folder locked.
 
-    Args:
-        path: Place of the file; one that is there is replaced.
-        header: Tasks, domains and provenance.
-        episodes: Episodes by domain, in any order: states ``(T + 1, O)``, actions ``(T, A)``.
-        compress: Whether to compress vectors too.
+    The episodes of each domain, states ``(T + 1, O)``, actions ``(T, A)``, may come in any order.
 
     Raises:
         TrajectoryFileError: If the disk is full or the folder may not be written to; ``path`` stays as it was.
@@ -108,10 +104,8 @@ def _writable(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise TrajectoryFileError(
-            f"{path}: cannot be written ({reason}); expected a folder with free space: make room or choose another"
-        ) from error
+        expected = "expected a folder with free space: make room or choose another"
+        raise TrajectoryFileError(f"{path}: cannot be written ({' '.join(str(error).split())}); {expected}") from error
 
 
 def _write_domain(

@@ -62,10 +62,7 @@ def array_paths(spec: DomainSpec, version: str) -> list[str]:
 def digest(dtype: np.dtype[Any], shape: Sequence[int], blocks: Iterable[np.ndarray]) -> str:
     """Sha256 of an array: its little-endian type, its shape ``(N, …)`` and its bytes in C order.
 
-    Args:
-        dtype: Type of the array.
-        shape: Shape of the whole array.
-        blocks: The array's rows ``(n, …)`` in order, in pieces of any length.
+    The rows come in ``blocks (n, …)`` of any length.
     """
     sha = hashlib.sha256(f"{dtype.str}{list(shape)}".encode())
     for block in blocks:
@@ -81,15 +78,7 @@ def stored_digest(array: h5py.Dataset) -> str:
 
 
 def check_spec(spec: DomainSpec, place: str) -> None:
-    """Check that a domain can be stored.
-
-    Args:
-        spec: The domain.
-        place: What messages begin with.
-
-    Raises:
-        TrajectoryFileError: If a name, shape, size or rate is not allowed.
-    """
+    """Refuse, by a :class:`TrajectoryFileError`, a domain with a name, shape, size or rate that cannot be stored."""
     keys = [key.name for key in spec.observation]
     _check_each([spec.name, *keys], place, "name")
     if len(set(keys)) < len(keys) or sum(key.kind == "image" for key in spec.observation) > 1:
@@ -106,11 +95,7 @@ def check_spec(spec: DomainSpec, place: str) -> None:
 
 
 def check_tasks(tasks: Sequence[str], place: str) -> None:
-    """Check that task names can be stored.
-
-    Raises:
-        TrajectoryFileError: If one is not a name, or stands twice.
-    """
+    """Refuse, by a :class:`TrajectoryFileError`, tasks of which one is not a name, or stands twice."""
     _check_each(tasks, place, "task name")
     if len(set(tasks)) < len(tasks):
         _fail(place, f"tasks {', '.join(tasks)}", "every name once")
@@ -135,11 +120,7 @@ def write_header(file: h5py.File, header: Header) -> None:
 
 
 def check_identity(file: h5py.File, path: Path) -> None:
-    """Check that a file is a finished one of this format and version.
-
-    Raises:
-        TrajectoryFileError: If it is not.
-    """
+    """Refuse, by a :class:`TrajectoryFileError`, a file that is not a finished one of this format and version."""
     found, version, complete = (file.attrs.get(name) for name in ("format", "format_version", "complete"))
     if not isinstance(found, str) or found != FORMAT:
         _fail(path, f"format {found!r}", f"{FORMAT!r}", "convert it with 'plp data import'")

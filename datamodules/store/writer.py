@@ -133,10 +133,8 @@ def _check_growth(old: TrajectoryFile, domains: Sequence[DomainSpec]) -> None:
         for field, expected in new.to_dict().items():
             found = known.get(new.name, {field: expected})[field]
             if found != expected:
-                raise TrajectoryFileError(
-                    f"{old.path}: domain {new.name!r} has {_difference(field, found, expected)}: "
-                    "restore the setting or collect into another file"
-                )
+                told = f"{old.path}: domain {new.name!r} has {_difference(field, found, expected)}"
+                raise TrajectoryFileError(f"{told}: restore the setting or collect into another file")
     paths = (array_paths(spec, old.version) for spec in old.domains)
     with open_guarded(old.path) as file:
         extra = set(check_objects(file, old.path)).difference(["/tasks/name"], *paths)

@@ -14,13 +14,9 @@ from plp_lightning.runs.progress import JobProgress
 
 
 def train_expert(experiment: Experiment, domain: str, weights: Path, steps: int) -> None:
-    """Train the expert of a domain with PPO, from the experiment's seed.
+    """Train the expert of a domain, a :class:`WalkerMaze`, with PPO for so many control steps, from the run's seed.
 
-    Args:
-        experiment: The experiment.
-        domain: Name of a domain whose simulator is a :class:`WalkerMaze`.
-        weights: File that gets the gait, as safetensors; its provenance goes beside it as JSON.
-        steps: Control steps to train for.
+    The gait goes into ``weights`` as safetensors, its provenance beside it as JSON.
 
     Raises:
         ConfigError: If the domain's expert cannot be trained, a file is in the way, or stable-baselines3 is missing.

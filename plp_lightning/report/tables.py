@@ -25,10 +25,9 @@ MARK = "†"
 @cache
 def paper_values() -> Paper:
     """Success rates that the paper reports, in the order in which its tables are read."""
-    text = (Path(__file__).parent / "paper.yaml").read_text(encoding="utf-8")
+    tables = yaml.safe_load((Path(__file__).parent / "paper.yaml").read_text(encoding="utf-8"))
     return {
-        experiment: {method: (mean, deviation) for method, (mean, deviation) in methods.items()}
-        for experiment, methods in yaml.safe_load(text).items()
+        experiment: {name: (x, std) for name, (x, std) in methods.items()} for experiment, methods in tables.items()
     }
 
 

@@ -61,8 +61,7 @@ class ExpertCollector:
         specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
         made: list[Trajectory] = []
         try:
-            for trajectory in self._collect(self._jobs(path, missing)):
-                made.append(trajectory)
+            made.extend(self._collect(self._jobs(path, missing)))  # one by one: those made before a stop are kept
         except UserError:
             made.clear()  # settings will have to change, and a file holds demonstrations of one recipe
             raise

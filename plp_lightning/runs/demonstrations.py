@@ -41,8 +41,7 @@ def check_finite(data: TransferDataModule) -> None:
 def _same_fingerprint(data: TransferDataModule, run: RunDirectory) -> str:
     begun_with = run.status().get("data_sha256", data.fingerprint)
     if begun_with != data.fingerprint:
-        raise TrajectoryFileError(
-            f"{data.path}: the demonstrations have changed since the run at {run.path} began (SHA-256 "
-            f"{data.fingerprint[:12]}, expected {begun_with[:12]}); restore the file or begin a new run"
-        )
+        found = f"the demonstrations have changed since the run at {run.path} began"
+        hashes = f"SHA-256 {data.fingerprint[:12]}, expected {begun_with[:12]}"
+        raise TrajectoryFileError(f"{data.path}: {found} ({hashes}); restore the file or begin a new run")
     return data.fingerprint

@@ -28,24 +28,15 @@ class RunDirectory:
     def create(
         cls, path: Path, config: str, environment: Mapping[str, Any], plan: Mapping[str, Any] | None = None
     ) -> RunDirectory:
-        """Begin a run; nothing that exists is overwritten.
+        """Begin a run of a resolved configuration; a :class:`ConfigError` says if there is one at ``path`` already.
 
-        Args:
-            path: The new directory.
-            config: The resolved configuration as YAML.
-            environment: Command, platform and versions.
-            plan: The phases that are ``wanted`` and their ``origin``, for a resumed run.
-
-        Raises:
-            ConfigError: If there is a run at ``path`` already.
+        ``plan`` holds the phases that are ``wanted`` and their ``origin``, for a resumed run.
         """
         run = cls(path)
         if run.config.exists():
             state = run.status().get("state", "unknown")
-            raise ConfigError(
-                f"{path}: holds a run already (state: {state}); go on with it by plp fit --resume {path}, "
-                "or choose another --seed, --method or --run_root"
-            )
+            remedy = f"go on with it by plp fit --resume {path}, or choose another --seed, --method or --run_root"
+            raise ConfigError(f"{path}: holds a run already (state: {state}); {remedy}")
         path.mkdir(parents=True, exist_ok=True)
         run.write_json("environment.json", environment)
         run.write_json("status.json", {"state": "new", **(plan or {}), "phases": {}})

@@ -56,14 +56,8 @@ NOT_FOR_US = (
 def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: RunDirectory | None = None) -> None:
     """Run the phases that are not done yet, one after the other.
 
-    A phase always begins from the last checkpoint of the one before, on disk, so that a run that was
-    interrupted anywhere takes the same way as an unbroken one.
-
-    Args:
-        experiment: The experiment.
-        run: Directory of the run.
-        phases: Names of the phases to run, in order.
-        origin: Run whose phases stand in for those before the first of ``phases``.
+    A phase always begins from the last checkpoint of the one before, on disk, so that a run that was interrupted
+    anywhere takes the same way as an unbroken one. Phases of the run ``origin`` stand in for those before the first.
     """
     torch.set_num_threads(experiment.threads)
     commit()  # as it is now: the checkout may change until the results are written

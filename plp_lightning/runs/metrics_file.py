@@ -17,12 +17,9 @@ COLUMNS = ["step", "metric", "value"]
 
 
 class MetricsFile(Logger):
-    """Writes ``metrics.csv`` with the columns step, metric, value.
+    """Writes ``metrics.csv`` into a folder, with the columns step, metric, value.
 
-    Lightning's CSVLogger deletes the file when a run is resumed; this one keeps what came before.
-
-    Args:
-        folder: Where the file goes.
+    Lightning's CSVLogger deletes the file when a run is resumed; this one keeps its earlier lines.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -16,13 +16,7 @@ SECONDS_BETWEEN_LINES = 10.0
 
 
 class JobProgress:
-    """Progress of one job of known size; use as a context manager.
-
-    Args:
-        label: The job, in a word or two.
-        total: Units of work.
-        unit: Name of the units.
-    """
+    """Progress of one job of so many units of work; use as a context manager."""
 
     def __init__(self, label: str, total: int, unit: str) -> None:
         self.label, self.total, self.unit = label, total, unit
@@ -56,11 +50,7 @@ class JobProgress:
 
 
 class PhaseProgress(Callback):
-    """Counts epochs and shows the held-out loss and the newest success rate.
-
-    Args:
-        phase: Name of the phase.
-    """
+    """Counts epochs of the phase of this name and shows the held-out loss and the newest success rate."""
 
     def __init__(self, phase: str) -> None:
         self.phase = phase

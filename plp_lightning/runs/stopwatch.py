@@ -15,10 +15,6 @@ class Stopwatch(Callback):
     """Goes on from the time in a phase's record, and writes it back after every epoch.
 
     So whoever kills a run takes no more than the time of one epoch out of its ``seconds``.
-
-    Args:
-        run: The run.
-        phase: Name of the phase.
     """
 
     def __init__(self, run: RunDirectory, phase: str) -> None:
