@@ -106,7 +106,7 @@ class TransferDataModule(LightningDataModule):
 
     @cached_property
     def datasets(self) -> dict[str, DomainDataset]:
-        """By domain: the trajectories that this run may see, read once."""
+        """Trajectories that this run may see, read once, by domain: states ``(N + L, O)``, actions ``(N, A)``."""
         with TrajectoryFile.open(self.path) as file:
             chosen = {domain: self._chosen(file, domain) for domain in self.domains}
             images = stored_images(file, chosen, self.image_memory)
@@ -124,7 +124,7 @@ class TransferDataModule(LightningDataModule):
 
     @property
     def specs(self) -> list[DomainSpec]:
-        """Specs of the domains, in order."""
+        """Specs of the domains, in order: sizes of states ``(O,)``, images ``(H, W, C)`` and actions ``(A,)``."""
         return [dataset.spec for dataset in self.datasets.values()]
 
     @property
@@ -162,7 +162,7 @@ class TransferDataModule(LightningDataModule):
         return {d: Statistics.fit(self.datasets[d].observation.state.numpy()[r]) for d, r in rows.items()}
 
     def loader(self, batch_spec: BatchSpec) -> Loader:
-        """Training batches of a phase."""
+        """Training batches of a phase: steps ``(B, …)``, and pairs of trajectories if it asks for them."""
         datasets = self._tables(batch_spec)
         stride = self.batching.stride if batch_spec.pairs == "thinned" else 1
         if batch_spec.pairs == "none":

@@ -68,7 +68,7 @@ class DomainSpec:
 
     @property
     def image_key(self) -> ObservationKey | None:
-        """The camera, if the domain has one."""
+        """Key of the images ``(H, W, C)``, if the domain has a camera."""
         return next((key for key in self.observation if key.kind == "image"), None)
 
     @property

@@ -53,7 +53,7 @@ class DomainDataset:
         return len(self.action)
 
     def take(self, rows: Tensor, next_observation: bool = False, progress: bool = False) -> Steps:
-        """The steps at ``rows (B,)`` int64, and if asked for what is seen next and how far their trajectories are.
+        """The steps at rows ``(B,)`` int64, and if asked for what is seen next and how far their trajectories are.
 
         Every one of the steps has to have a :attr:`next_row` if what is seen next is asked for.
         """
@@ -87,16 +87,16 @@ class DomainDataset:
             yield from (self.observation.image[i : i + step] for i in range(0, len(self.observation), step))
 
     def rows_at_a_time(self, most: int) -> int:
-        """``most``, or fewer steps if so many images would take up too much memory."""
+        """Give ``most``, or fewer steps if so many images ``(H, W, C)`` would take up too much memory."""
         image = self.spec.image_key
         return most if image is None else max(1, min(most, MOST_IMAGE_BYTES // math.prod(image.shape)))
 
     def episodes_of(self, tasks: np.ndarray) -> np.ndarray:
-        """Ids ``(n,)`` of the trajectories of ``tasks (K,)``, in order."""
+        """Ids ``(n,)`` of the trajectories of tasks ``(K,)``, in order."""
         return np.flatnonzero(np.isin(self.episode_task, tasks))
 
     def episode_of(self, rows: np.ndarray) -> np.ndarray:
-        """Trajectory ids ``(B,)`` of ``rows (B,)``."""
+        """Trajectory ids ``(B,)`` of rows ``(B,)``."""
         return np.searchsorted(self.offset, rows, side="right") - 1
 
     def rows_of(self, episodes: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ def build_dataset(
 ) -> DomainDataset:
     """Wrap the arrays of a trajectory file, shaped as in :class:`DomainDataset`; the tensors share their memory.
 
-    ``last (E,)`` are the rows of the episodes' last observations in state and image, -1 where nobody knows them.
+    last ``(E,)`` are the rows of the episodes' last observations in state and image, -1 where nobody knows them.
     """
     tasks, next_row = episode_task.astype(np.int64), np.arange(1, len(actions) + 1)
     next_row[offset[1:] - 1] = last

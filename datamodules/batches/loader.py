@@ -78,7 +78,7 @@ class Loader:
 
 
 class FixedBatches:
-    """Held-out steps of ``rows (n,)`` by domain, in order, a domain after the other; the same batches at every pass."""
+    """Held-out steps of rows ``(n,)`` by domain, in order, a domain after the other; the same batches at every pass."""
 
     def __init__(
         self, datasets: Datasets, rows: Mapping[str, np.ndarray], batch_size: int, batch_spec: BatchSpec = PLAIN

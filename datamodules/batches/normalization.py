@@ -28,7 +28,7 @@ class Statistics:
 
     @classmethod
     def fit(cls, state: np.ndarray) -> Statistics:
-        """Statistics of ``state (N, O)``, N ≥ 1."""
+        """Statistics of state ``(N, O)``, N ≥ 1."""
         wide = state.astype(np.float64)
         return cls(wide.mean(axis=0), wide.std(axis=0))
 

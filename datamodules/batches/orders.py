@@ -15,7 +15,7 @@ Rows: TypeAlias = Mapping[str, np.ndarray]
 
 
 def shuffled(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw ``count`` of ``rows (N,)``, each once before any comes again."""
+    """Draw ``count`` of rows ``(N,)``, each once before any comes again."""
     rounds = max(1, -(-count // len(rows)))
     drawn: np.ndarray = np.concatenate([rng.permutation(rows) for _ in range(rounds)])[:count]
     return drawn
@@ -106,7 +106,7 @@ class NoSteps:
         self.steps = steps
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
-        """No rows ``(0,)`` in any domain, ``steps`` times."""
+        """Give no rows ``(0,)`` in any domain, ``steps`` times."""
         return [{} for _ in range(self.steps)]
 
 

@@ -66,7 +66,7 @@ def episodes_by_domain(
 
 
 def stored_episodes(file: TrajectoryFile, domain: str) -> list[Episode]:
-    """The episodes that a file holds of a domain; none if it does not know the domain."""
+    """Episodes of a domain, states ``(T + 1, O)``, actions ``(T, A)``; none if the file does not know the domain."""
     if domain not in {spec.name for spec in file.domains}:
         return []
     (offset, task, seed, success, last), arrays = file.episodes(domain), file.read(domain, images=False)

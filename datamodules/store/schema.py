@@ -62,7 +62,7 @@ def array_paths(spec: DomainSpec, version: str) -> list[str]:
 def digest(dtype: np.dtype[Any], shape: Sequence[int], blocks: Iterable[np.ndarray]) -> str:
     """Sha256 of an array: its little-endian type, its shape ``(N, …)`` and its bytes in C order.
 
-    The rows come in ``blocks (n, …)`` of any length.
+    The rows come in blocks ``(n, …)`` of any length.
     """
     sha = hashlib.sha256(f"{dtype.str}{list(shape)}".encode())
     for block in blocks:

@@ -32,7 +32,7 @@ def write_trajectories(
     provenance: Mapping[str, Any],
     compress: bool = False,
 ) -> None:
-    """Create a trajectory file as :func:`add_trajectories` does; it appears complete or not at all.
+    """Create a file of states ``(T + 1, O)`` and actions ``(T, A)`` as :func:`add_trajectories` does, all or nothing.
 
     Raises:
         TrajectoryFileError: If the file exists, cannot be written, or a demonstration does not fit its domain.

@@ -84,7 +84,7 @@ def demonstration(way: Segment, task: str, maze: PointMaze, domain: str) -> Traj
 
 
 def _check_layout(cells: np.ndarray, maze: PointMaze, source: Path) -> None:
-    """``cells (N, 2, 2)``: where the walker and its goal are in each step."""
+    """Cells ``(N, 2, 2)``: where the walker and its goal are in each step."""
     free = np.zeros(maze.layout.shape, dtype=bool)
     free[tuple(np.transpose(maze.layout.cells))] = True
     strange = np.argwhere(~free[cells[..., 0], cells[..., 1]])

@@ -62,7 +62,7 @@ def _held_out_actions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.
 
 
 def held_out_losses(assessment: Assessment) -> dict[str, float]:
-    """Behavioural-cloning loss on held-out trajectories, by domain (Eq. 1)."""
+    """Behavioural-cloning loss of actions ``(N, A)`` on held-out trajectories, by domain (Eq. 1)."""
     pairs = _held_out_actions(assessment)
     return {f"val/bc_{d}": float(((p - a) ** 2).mean()) for d, (p, a) in pairs.items()}
 

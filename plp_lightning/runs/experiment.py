@@ -51,7 +51,7 @@ class Experiment:
 
     @property
     def simulators(self) -> dict[str, Simulator]:
-        """By domain."""
+        """Simulators by domain."""
         return {name: domain.simulator for name, domain in self.domains.items()}
 
     @property

@@ -22,7 +22,7 @@ PACKAGE = "plp_lightning"
 def load_policy(
     path: Path | str, phase: str | None = None, which: str = "last", allow_imports: Sequence[str] = ()
 ) -> Policy:
-    """Load a trained policy, ready to act: ``policy.act(observation, domain=…, task=…)``.
+    """Load a trained policy, ready to act on states ``(n, O)``: ``policy.act(observation, domain=…, task=…)``.
 
     Args:
         path: A run directory, or a checkpoint in one.
