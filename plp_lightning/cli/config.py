@@ -160,7 +160,7 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     for name in phases:
         parser.add_argument(f"--{name}", type=PhaseFactory, help=f"phase {name}: class, losses, epochs, optimizer")
     parser.add_class_arguments(EvaluationPlan, "evaluation")
-    parser.add_argument("--score", type=list[AlignmentScore], default=[], help="alignment scores; += appends")
+    parser.add_argument("--score", type=list[AlignmentScore] | None, default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
     parser.add_argument("--trainer.max_epochs", type=PositiveInt | None, help="epochs of every phase, not its own")
     parser.add_class_arguments(Trainer, "trainer", skip=OURS, instantiate=False)
@@ -197,6 +197,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         config: The configuration.
         dropped: Keys of alignment terms that are left away: they are null in what is kept of the configuration.
     """
+    config.score = config.score or []
     kept = yaml.safe_load(parser.dump(config.clone(), skip_unset=False))
     for key in dropped:
         insert(kept, key, None)
