@@ -153,7 +153,7 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
         told = f"phase {name}: class, losses, epochs, optimizer"
         parser.add_argument(f"--{name}", type=PhaseFactory, help=told)
     parser.add_class_arguments(EvaluationPlan, "evaluation")
-    parser.add_argument("--score", type=list[AlignmentScore], default=[], help="alignment scores; += appends")
+    parser.add_argument("--score", type=list[AlignmentScore] | None, default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
     parser.add_argument("--trainer.max_epochs", type=PositiveInt | None, help="epochs of every phase, not its own")
     parser.add_class_arguments(Trainer, "trainer", skip=OURS, instantiate=False)
@@ -187,6 +187,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
 
     ``dropped`` are keys of alignment terms that are left away: they are null in the configuration that is kept.
     """
+    config.score = config.score or []
     kept = yaml.safe_load(parser.dump(config.clone(), skip_unset=False))
     for key in dropped:
         insert(kept, key, None)

@@ -48,7 +48,8 @@ def test_success_is_evaluated_where_what_acts_has_been_trained(unbroken: RunDire
     assert [sorted(unbroken.phase_record(phase)["trials"]) for phase in PHASES[:3]] == [[]] * 3
     assert results(unbroken)["target"]["before"] is None
     answer = plp("fit", "--resume", unbroken.path)
-    assert next(line for line in answer.out.splitlines() if "target task in target domain" in line).count("–") == 2
+    row = next(line for line in answer.out.splitlines() if "target task in target domain" in line)
+    assert row.split("│")[4].strip() == "–"
 
 
 def test_checkpoints_are_chosen_by_the_sum_of_a_phase_s_own_losses(unbroken: RunDirectory) -> None:
