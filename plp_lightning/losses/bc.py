@@ -1,4 +1,4 @@
-"""Behavioural cloning: how far predicted actions are from demonstrated ones."""
+"""Behavioural cloning."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def behavioural_cloning(
     assert prediction, "expected at least one domain"
     assert prediction.keys() == action.keys(), f"predictions of {[*prediction]}, actions of {[*action]}"
     for domain, predicted in prediction.items():
-        shape = tuple(action[domain].shape)
+        shape, found = tuple(action[domain].shape), tuple(predicted.shape)
         assert len(shape) == 2, f"expected actions (B, A) in domain {domain!r}, got {shape}"
-        assert predicted.shape == shape, (
-            f"expected predictions {shape} in domain {domain!r}, got {tuple(predicted.shape)}"
-        )
-    share = {domain: predicted.shape[1] if reduction == "mean" else 1 for domain, predicted in prediction.items()}
-    errors = [(predicted - action[d]).square().sum() / share[d] for d, predicted in prediction.items()]
+        assert found == shape, f"expected predictions {shape} in domain {domain!r}, got {found}"
+    errors = [
+        (predicted - action[domain]).square().sum() / (predicted.shape[1] if reduction == "mean" else 1)
+        for domain, predicted in prediction.items()
+    ]
     return torch.stack(errors).sum() / sum(len(predicted) for predicted in prediction.values())

@@ -1,4 +1,4 @@
-"""What keeps a discriminator from growing ever steeper: a penalty on its slope."""
+"""Penalty on a discriminator's slope."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def r1_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
     actually Converge?" (https://arxiv.org/abs/1801.04406), Eq. 9, without its factor γ.
 
     Args:
-        judged: ``(B,)``: what the discriminator says of the samples, each from its own row alone.
+        judged: ``(B,)``, the discriminator's verdicts, each from its own row alone.
         real: ``(B, N)``, the samples, which require a gradient.
         weight: ``(B,)``, bool or at least 0.
 

@@ -1,4 +1,4 @@
-"""Image reconstruction: how much of what a camera saw is still in the latent state."""
+"""Image reconstruction: a measure of how much of an image is still in the latent state."""
 
 from __future__ import annotations
 
@@ -32,9 +32,7 @@ def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]
     """
     assert prediction, "expected at least one domain"
     assert prediction.keys() == image.keys(), f"predictions of {[*prediction]}, images of {[*image]}"
-    errors = [
-        (predicted - _target(predicted, image[domain])).square().sum() for domain, predicted in prediction.items()
-    ]
+    errors = [(predicted - _target(predicted, image[d])).square().sum() for d, predicted in prediction.items()]
     return torch.stack(errors).sum() / sum(predicted.numel() for predicted in prediction.values())
 
 

@@ -14,7 +14,7 @@ from datamodules.settings import Configured, Fraction, NonNegativeFloat, Share
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 """Makes an optimizer of parameters, or of groups of them."""
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
-"""Makes what changes an optimizer's rates: one of the two below, or any of torch's."""
+"""Makes a schedule of an optimizer's rates: one of the two below, or any of torch's."""
 
 
 class FusedAdamW(Configured, AdamW):
@@ -43,11 +43,11 @@ class PhaseSchedule(ABC):
     """A schedule that spans a phase, and is told how long that is."""
 
     interval: ClassVar[Literal["step", "epoch"]]
-    """What the rate changes after."""
+    """Unit of time after which the rate changes."""
 
     @abstractmethod
     def span(self, steps: int, epochs: int) -> None:
-        """Take the length of the phase, before its first step."""
+        """Takes the length of the phase, before its first step."""
 
 
 class CosineDecay(CosineAnnealingLR, PhaseSchedule):
@@ -65,7 +65,6 @@ class CosineDecay(CosineAnnealingLR, PhaseSchedule):
         super().__init__(optimizer, T_max=1)
 
     def span(self, steps: int, epochs: int) -> None:
-        """End with the last step."""
         self.T_max = steps
 
 
@@ -87,7 +86,6 @@ class LinearDecay(LambdaLR, PhaseSchedule):
         super().__init__(optimizer, self._factor)
 
     def span(self, steps: int, epochs: int) -> None:
-        """End with the last epoch."""
         self.epochs = epochs
 
     def _factor(self, epoch: int) -> float:

@@ -1,9 +1,9 @@
-"""What all phases share: a policy, an optimiser, the held-out loss and what their checkpoints hold."""
+"""PHASE: the part that all training stages share: cloning and its held-out loss, the optimizer and checkpoints."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from lightning.pytorch import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
@@ -27,21 +27,22 @@ class Phase(Configured, LightningModule, Generic[P]):
         policy: The policy to train.
         epochs: Passes over the phase's data.
         optimizer: Makes the optimizer of the trained parameters; the paper's is AdamW.
-        lr_scheduler: Makes what changes the learning rate, :class:`CosineDecay` for instance; a constant rate if not
-            given.
+        lr_scheduler: Makes what changes the learning rate, :class:`CosineDecay` for instance; None keeps it constant.
 
     Raises:
         ConfigError: If it is a phase for other policies.
     """
 
     trains: ClassVar[type] = Policy
-    """Which policies it can train."""
+    """Class of the policies that it can train."""
     batch_spec: BatchSpec = BatchSpec()
-    """Which batches the DataModule shall give."""
+    """Batches that the DataModule shall give."""
     monitor: ClassVar[str] = "val/bc"
     """Held-out loss by which the best checkpoint is chosen."""
     policy_acts: ClassVar[bool] = True
     """Whether what acts has been trained when the phase ends; if not, its success is not evaluated."""
+    bc_reduction: Literal["mean", "sum"] = "mean"
+    """Of behavioural cloning over action dimensions, in training; held-out losses are means."""
 
     def __init__(
         self, policy: P, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None
@@ -60,56 +61,72 @@ class Phase(Configured, LightningModule, Generic[P]):
         return {}
 
     def trained_parameters(self) -> Iterable[nn.Parameter]:
-        """What the optimizer may change."""
+        """Gives the parameters that the optimizer may change."""
         return (parameter for parameter in self.parameters() if parameter.requires_grad)
 
     def parameter_groups(self) -> list[Any]:
-        """What the optimizer is made of: the trained parameters, or groups of them with rates of their own."""
+        """Gives the optimizer's input: the trained parameters, or groups of them with rates of their own."""
         return list(self.trained_parameters())
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """Make the optimizer and, unless the rate is constant, what changes its rate."""
         optimizer = self.optimizer(self.parameter_groups())
         if self.lr_scheduler is None:
             return optimizer
         schedule, interval = self.lr_scheduler(optimizer), "epoch"
         if isinstance(schedule, PhaseSchedule):
-            steps, epochs = self.trainer.estimated_stepping_batches, self.trainer.max_epochs
-            schedule.span(int(steps), epochs or self.epochs)
+            schedule.span(int(self.trainer.estimated_stepping_batches), self.trainer.max_epochs or self.epochs)
             interval = schedule.interval
         return {
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": schedule, "interval": interval, "monitor": self.monitor},
         }
 
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Behavioural-cloning loss of a batch's steps, a scalar."""
+        loss = self.cloning_loss(batch.steps, self.bc_reduction)
+        self.log_parts({"bc": loss}, step_count(batch.steps))
+        return loss
+
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Behavioural-cloning loss on held-out trajectories, for each domain."""
         for domain, steps in batch.steps.items():
-            loss = behavioural_cloning(self.predict({domain: steps}), {domain: steps.action})
-            size = len(steps.action)
-            self.log(f"val/bc_{domain}", loss, batch_size=size, on_epoch=True)
-            self.log("val/bc", loss, batch_size=size, on_epoch=True)
+            loss = self.cloning_loss({domain: steps})
+            for name in (f"val/bc_{domain}", "val/bc"):
+                self.log(name, loss, batch_size=len(steps.action), on_epoch=True)
 
     def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """The policy's actions ``(B_d, A_d)`` by domain."""
-        observation = {domain: s.observation for domain, s in steps.items()}
-        return self.policy.predict_actions(observation, {domain: s.task for domain, s in steps.items()})
+        return self.policy.predict_actions({d: s.observation for d, s in steps.items()}, tasks_of(steps))
+
+    def cloning_loss(self, steps: Mapping[str, Steps], reduction: Literal["mean", "sum"] = "mean") -> Tensor:
+        """Scalar distance of the policy's actions to demonstrated ones ``(B_d, A_d)``, all domains together."""
+        return behavioural_cloning(self.predict(steps), {d: s.action for d, s in steps.items()}, reduction)
 
     @property
     def logs_now(self) -> bool:
-        """Whether loggers write this training step down; in all others nothing is gathered for them."""
+        """True in training steps that loggers write down; in all others nothing is gathered for them."""
         every: int = self.trainer.log_every_n_steps  # type: ignore[attr-defined]
         return (self.trainer.global_step + 1) % every == 0
 
     def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
-        """Losses of a training step, as ``train/<name>``."""
-        for name, value in parts.items():
+        """Logs the scalar losses of a training step as ``train/<name>``, if loggers write it down."""
+        for name, value in parts.items() if self.logs_now else ():
             self.log(f"train/{name}", value.detach(), batch_size=batch_size)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what rebuilds the policy without the configuration: plain lists, strings and numbers."""
+        """Adds a recipe of the policy that needs no configuration: plain lists, strings and numbers."""
         checkpoint["policy"] = {"problem": self.policy.problem.to_dict(), **recipe(self.policy, ["problem"])}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Understand what earlier versions saved."""
+        """Brings checkpoints of earlier versions up to date."""
         upgrade_checkpoint(checkpoint)
+
+
+def step_count(steps: Mapping[str, Steps]) -> int:
+    """Number of steps ``Σ B_d`` in all domains together."""
+    return sum(len(s.action) for s in steps.values())
+
+
+def tasks_of(steps: Mapping[str, Steps]) -> dict[str, Tensor]:
+    """Task indices ``(B_d,)`` of the steps, by domain."""
+    return {domain: s.task for domain, s in steps.items()}

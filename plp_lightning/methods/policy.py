@@ -17,11 +17,11 @@ from datamodules.types import Actor, Observation
 Parts = Mapping[str, Tensor]
 """One tensor by domain, with as many rows as the domain has in the batch."""
 Observations = Mapping[str, Observation[Tensor]]
-"""What is seen, by domain."""
+"""Observations of B_d rows each, by domain."""
 
 
 class Policy(Configured, nn.Module, ABC):
-    """Acts in the domains, on any of the tasks.
+    """Network that acts in the domains, on any of the tasks.
 
     Args:
         problem: Domains and tasks.
@@ -35,7 +35,7 @@ class Policy(Configured, nn.Module, ABC):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Domains that have one."""
+        """Domains that have a camera."""
         return tuple(name for name, spec in self.domains.items() if spec.image_key is not None)
 
     @property
@@ -48,7 +48,7 @@ class Policy(Configured, nn.Module, ABC):
         """Actions ``(B_d, A_d)`` by domain.
 
         Args:
-            observation: By domain, B_d rows each.
+            observation: States ``(B_d, O)``, and images ``(B_d, H, W, C)`` or None, by domain.
             task: Indices of the tasks ``(B_d,)`` int64, by domain.
         """
 
@@ -74,7 +74,10 @@ class Policy(Configured, nn.Module, ABC):
         return actions
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
-        """Who acts in episodes of ``tasks`` that begin now; a policy with a memory starts one for each of them."""
+        """Gives a function that acts in episodes of ``tasks`` which begin now: observations ``(n, O)`` → ``(n, A)``.
+
+        A policy with a memory starts one for each episode.
+        """
 
         def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
             return self.act(observation, domain, [tasks[i] for i in running])

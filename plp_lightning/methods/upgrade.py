@@ -17,11 +17,7 @@ PREFIXES = {
 
 
 def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:
-    """Bring a checkpoint up to date in place; one of today's stays as it is.
-
-    Args:
-        checkpoint: As Lightning saves it.
-    """
+    """Brings a checkpoint, as Lightning saves it, up to date in place; one of today's stays as it is."""
     if "architecture" not in checkpoint["policy"]:
         return
     # GAMA's discriminator is where it was: it has a unit of changes, which the domain discriminator has not.
@@ -36,8 +32,8 @@ def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:
     if not checkpoint.get("lr_schedulers"):
         # CDIL's rates fell without a scheduler: one that goes on has to know the epoch.
         groups = [len(state["param_groups"]) for state in checkpoint.get("optimizer_states", [])]
-        states = [{"last_epoch": checkpoint.get("epoch", 0), "lr_lambdas": [None] * count} for count in groups]
-        checkpoint["lr_schedulers"] = states
+        epoch = checkpoint.get("epoch", 0)
+        checkpoint["lr_schedulers"] = [{"last_epoch": epoch, "lr_lambdas": [None] * count} for count in groups]
 
 
 def _moved(name: str, prefixes: dict[str, str]) -> str:
@@ -46,7 +42,7 @@ def _moved(name: str, prefixes: dict[str, str]) -> str:
 
 
 def upgrade_recipe(class_path: str, architecture: Mapping[str, Any]) -> dict[str, Any]:
-    """How to build a policy that an earlier version saved.
+    """Recipe of a policy that an earlier version saved.
 
     Args:
         class_path: Its class, as it was called.

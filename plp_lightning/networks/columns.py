@@ -1,4 +1,4 @@
-"""Vectors of domains that differ in length, side by side or one over the other in a vector that all share."""
+"""Vectors of domains that differ in length, in columns of a vector that all share, and their rows in one batch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Sharing = Literal["own", "shared"]
 
 
 class DomainColumns:
-    """Where the numbers of each domain stand in the vector that enters or leaves a shared network.
+    """Places of each domain's numbers in the vector that enters or leaves a shared network.
 
     A network that reads column i of every domain with the same weights takes it for granted that they mean the
     same. That helps where they do, and misleads the alignment where they don't: joint angles of two robots, axes
@@ -43,3 +43,8 @@ class DomainColumns:
     def join(self, parts: Mapping[str, Tensor]) -> Tensor:
         """Every domain's ``(B_d, n_d)``, one below the other: ``(Σ B_d, width + D)``."""
         return torch.cat([self.place(x, domain) for domain, x in parts.items()])
+
+
+def split_by_domain(joined: Tensor, parts: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Takes rows ``(Σ B_d, N)`` apart again: ``(B_d, N)`` by domain, as many as ``parts`` has, in its order."""
+    return dict(zip(parts, joined.split([len(part) for part in parts.values()]), strict=True))

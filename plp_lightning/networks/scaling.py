@@ -1,4 +1,4 @@
-"""Input scaling of the policy: fitted numbers kept as buffers."""
+"""Input scaling of the policy."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class InputScaler(nn.Module):
     """Per-domain scaling of raw states; its numbers are buffers, so a checkpoint carries them.
 
     Args:
-        domains: What each domain looks like.
-        statistics: Of raw states, by domain.
-        scaling: By observation key.
+        domains: Specifications of all domains.
+        statistics: Statistics of raw states, by domain; states stay as they are without.
+        scaling: Kind of scaling, by observation key.
 
     Raises:
         ConfigError: If ``scaling`` names a key that no domain has.
@@ -30,10 +30,7 @@ class InputScaler(nn.Module):
     limit: Tensor
 
     def __init__(
-        self,
-        domains: Sequence[DomainSpec],
-        statistics: Mapping[str, Statistics] | None,
-        scaling: Mapping[str, Scaling],
+        self, domains: Sequence[DomainSpec], statistics: Mapping[str, Statistics] | None, scaling: Mapping[str, Scaling]
     ) -> None:
         super().__init__()
         _check_keys(domains, scaling)
@@ -42,7 +39,7 @@ class InputScaler(nn.Module):
         fits = [Affine.build(spec, known[spec.name], scaling) for spec in domains]
         width = max(spec.state_size for spec in domains)
         for name in ("offset", "scale", "limit"):
-            rows = [np.pad(getattr(fit, name), (0, width - len(getattr(fit, name)))) for fit in fits]
+            rows = [np.pad(row, (0, width - len(row))) for row in (getattr(fit, name) for fit in fits)]
             self.register_buffer(name, torch.tensor(np.stack(rows), dtype=torch.float32))
 
     def forward(self, state: Tensor, domain: str) -> Tensor:

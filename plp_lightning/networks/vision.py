@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import prod
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +17,7 @@ from torch import Tensor, nn
 from datamodules.errors import ConfigError
 from datamodules.settings import Configured, PositiveInt
 from datamodules.types import DomainSpec, Observation
+from plp_lightning.networks.columns import split_by_domain
 
 KERNEL, STRIDE, PADDING = 3, 2, 1
 UNTRAINED_BYTES = 64 * 2**20
@@ -35,7 +37,7 @@ class ImageEncoding(Configured):
     features: PositiveInt = 1024
 
     def build(self, shape: Sequence[int]) -> ImageEncoder:
-        """An encoder of images ``(H, W, C)``."""
+        """Builds an encoder of images ``(H, W, C)``."""
         return ImageEncoder(shape, self.channels, self.features)
 
 
@@ -61,9 +63,9 @@ class ImageEncoder(nn.Module):
         for size_in, size_out in pairwise([colours + 2, *channels]):
             layers += [nn.Conv2d(size_in, size_out, KERNEL, STRIDE, PADDING), nn.GELU()]
         self.convolutions = nn.Sequential(*layers)
-        self.linear = nn.Linear(channels[-1] * _area(downsampled_sizes((height, width), len(channels))[-1]), features)
-        first_layer = 4 * channels[0] * _area(downsampled_sizes((height, width), 1)[-1])
-        self.most_rows = max(1, UNTRAINED_BYTES // first_layer)
+        sizes = downsampled_sizes((height, width), len(channels))
+        self.linear = nn.Linear(channels[-1] * prod(sizes[-1]), features)
+        self.most_rows = max(1, UNTRAINED_BYTES // (4 * channels[0] * prod(sizes[1])))
         initialise(self)
         _lay_out(self)
 
@@ -96,7 +98,7 @@ class ImageDecoder(nn.Module):
         height, width, colours = shape
         sizes = downsampled_sizes((height, width), len(channels))[::-1]
         self.domains, self.start = domains, (channels[-1], *sizes[0])
-        self.linear = nn.Linear(latent + domains, channels[-1] * _area(sizes[0]))
+        self.linear = nn.Linear(latent + domains, prod(self.start))
         layers: list[nn.Module] = []
         for (size_in, size_out), (small, large) in zip(
             pairwise([*reversed(channels), colours]), pairwise(sizes), strict=True
@@ -153,10 +155,6 @@ def _lay_out(network: nn.Module) -> None:
             parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
 
-def _area(sides: tuple[int, int]) -> int:
-    return sides[0] * sides[1]
-
-
 def image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
     """Height, width and colours of the domains' images, or None if no domain has a camera.
 
@@ -188,5 +186,4 @@ def encode_images(
         return torch.cat([*blank.values()])
     joined = torch.cat([*images.values()])
     features = joined if joined.is_floating_point() else encoder(joined)
-    found = dict(zip(images, features.split([len(image) for image in images.values()]), strict=True))
-    return torch.cat([*(blank | found).values()])
+    return torch.cat([*(blank | split_by_domain(features, images)).values()])

@@ -55,7 +55,7 @@ def translation_generator_loss(made: Tensor, weight: Tensor) -> Tensor:
 
 
 def cycle(original: Tensor, returned: Tensor) -> Tensor:
-    r"""Absolute difference of what was left and what was come back to, mean over numbers and samples.
+    r"""Absolute difference of originals and what they return as, mean over numbers and samples.
 
     .. math:: L_{cyc} = \mathbb{E}_x \| \Psi(\Phi(x)) - x \|_1 / O
 

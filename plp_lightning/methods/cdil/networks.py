@@ -14,29 +14,6 @@ Role = Literal["source", "target"]
 OTHER: Mapping[Role, Role] = {"source": "target", "target": "source"}
 
 
-class TaskNetwork(nn.Module):
-    """A vector and a one-hot task → numbers: position models, discriminators and policies are of this form.
-
-    Args:
-        inputs: N, length of the vector.
-        tasks: K, number of task ids.
-        outputs: M, how many numbers.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
-    """
-
-    def __init__(self, inputs: int, tasks: int, outputs: int, hidden: int, layers: int) -> None:
-        super().__init__()
-        self.tasks = tasks
-        self.net = mlp(inputs + tasks, hidden, layers, outputs)
-
-    def forward(self, x: Tensor, task: Tensor) -> Tensor:
-        """``(B, N)`` and int64 ``(B,)`` → ``(B, M)``."""
-        one_hot = nn.functional.one_hot(task, self.tasks).to(x.dtype)
-        out: Tensor = self.net(torch.cat([x, one_hot], dim=-1))
-        return out
-
-
 class Translation(NamedTuple):
     """A state on its way to the other domain."""
 
@@ -71,7 +48,7 @@ class Translator(nn.Module):
 
 
 class Pace(nn.Module):
-    """How much each state column changes in a step, so that a step can be told from a standstill.
+    """Usual change of each state column in a step, by which a step can be told from a standstill.
 
     Two states that follow each other differ by a hundredth of what two states of a trajectory differ by. A network
     that gets both side by side sees the same state twice; what moved is put beside the first state in units of its
@@ -90,7 +67,7 @@ class Pace(nn.Module):
             self.register_buffer(role, torch.ones(size))
 
     def fit(self, unit: Tensor, role: Role) -> None:
-        """Take ``unit (O,)``, the usual change of each column in a step."""
+        """Takes ``unit (O,)``, the usual change of each column in a step."""
         getattr(self, role).copy_(unit)
 
     def forward(self, now: Tensor, following: Tensor, role: Role) -> Tensor:

@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.settings import PositiveInt
-from plp_lightning.methods.cdil.networks import Pace, Role, TaskNetwork, Translator
+from plp_lightning.methods.cdil.networks import Pace, Role, Translator
 from plp_lightning.methods.policy import Observations, Parts
 from plp_lightning.methods.translation.policy import TranslatingPolicy
-from plp_lightning.networks import mlp
+from plp_lightning.networks import TaskNetwork, mlp
 
 
 class CdilPolicy(TranslatingPolicy):
@@ -28,8 +28,8 @@ class CdilPolicy(TranslatingPolicy):
         policy_layers: Hidden layers of position models, inverse dynamics and clones.
         decoder_layers: Hidden layers of the translation's decoders.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
-            the policy is blind: it leaves images aside.
+        image_channels: Channels of each convolution of the image encoders, the last one's become feature points;
+            without any, the policy is blind: it leaves images aside.
 
     Raises:
         ConfigError: If there are not two domains, or a size is wrong.
@@ -62,9 +62,7 @@ class CdilPolicy(TranslatingPolicy):
         )
 
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
-        """The clones' actions."""
-        states = {domain: self.features(domain, seen) for domain, seen in observation.items()}
-        return {domain: self.clone(state, task[domain], self.roles[domain]) for domain, state in states.items()}
+        return {d: self.clone(self.features(d, seen), task[d], self.roles[d]) for d, seen in observation.items()}
 
     def encode(self, observation: Observations) -> dict[str, Tensor]:
         """States of the target domain ``(B_d, O_y)``: its own, and those that Φ makes of the source's."""

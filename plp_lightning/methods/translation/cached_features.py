@@ -34,12 +34,10 @@ class CachedFeatures(Phase[T]):
         self.next_row: dict[str, Tensor] = {}
 
     def on_fit_start(self) -> None:
-        """Perceive all observations of both domains."""
         self._cache_all()
 
     def on_validation_start(self) -> None:
-        """The same, if there was no training before."""
-        if not self.states:
+        if not self.states:  # without training before
             self._cache_all()
 
     def before_and_after(self, domain: str, rows: Tensor) -> tuple[Tensor, Tensor]:
@@ -48,7 +46,7 @@ class CachedFeatures(Phase[T]):
         return states[rows], states[self.next_row[domain][rows]]
 
     def usual_change(self, domain: str) -> Tensor:
-        """Root mean square ``(S_d,)`` of what a training step of the proxy tasks changes; 1 for columns that rest."""
+        """Root mean square ``(S_d,)`` of changes in a training step of the proxy tasks; 1 for columns that rest."""
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         rows = data.rows(data.proxy_tasks, "train", next_observation=True)[domain]
         before, after = self.before_and_after(domain, torch.from_numpy(rows).to(self.device))

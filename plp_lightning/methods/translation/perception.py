@@ -1,18 +1,83 @@
-"""What the methods that translate states take for a state: numbers that are sensed, and feature points of images."""
+"""States of the methods that translate them: numbers that are sensed, and feature points of images.
+
+Feature points are a few places in an image, found without any action by drawing the image again.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
+from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.types import Observation, Steps
 from plp_lightning.losses import reconstruction
-from plp_lightning.methods.translation.feature_points import PointDecoder, SpatialEncoder
-from plp_lightning.networks.scaling import InputScaler
+from plp_lightning.networks import InputScaler, mlp
+from plp_lightning.networks.vision import initialise, pixel_coordinates
+
+
+class SpatialEncoder(nn.Module):
+    """Image → place in it of each of some features: convolutions, a softmax over pixels, expected coordinates.
+
+    See "Deep Spatial Autoencoders for Visuomotor Learning" (https://arxiv.org/abs/1509.06113), Section V. The first
+    convolution halves the image's sides.
+
+    Args:
+        shape: Height, width and colours of an image.
+        channels: Channels of each convolution; each of the last one's becomes a point.
+
+    Raises:
+        ConfigError: If a size is not positive.
+    """
+
+    coordinates: Tensor
+
+    def __init__(self, shape: Sequence[int], channels: Sequence[int]) -> None:
+        super().__init__()
+        if min(channels) < 1:
+            raise ConfigError(f"image_channels is {list(channels)}; expected at least 1 each")
+        height, width, colours = shape
+        self.size = 2 * channels[-1]
+        grid = pixel_coordinates((height + 1) // 2, (width + 1) // 2)
+        self.register_buffer("coordinates", grid.flatten(0, 1), persistent=False)
+        layers: list[nn.Module] = [nn.Conv2d(colours, channels[0], 5, 2, 2)]
+        for size_in, size_out in pairwise(channels):
+            layers += [nn.GELU(), nn.Conv2d(size_in, size_out, 3, 1, 1)]
+        self.convolutions = nn.Sequential(*layers)
+        self.sharpness = nn.Parameter(torch.zeros(()))
+        initialise(self)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Uint8 ``(B, H, W, C)`` → points ``(B, 2 P)`` in [-1, 1]: row and column of each in turn."""
+        pixels = image.to(self.coordinates.dtype) / 255
+        maps: Tensor = self.convolutions(pixels.permute(0, 3, 1, 2))
+        where = (self.sharpness.exp() * maps.flatten(2)).softmax(dim=2)
+        return (where @ self.coordinates).flatten(1)
+
+
+class PointDecoder(nn.Module):
+    """Feature points → the image that they came from, a quarter as high and wide.
+
+    Args:
+        size: Length of the points' vector.
+        shape: Height, width and colours of an image.
+        hidden: Units of its hidden layer.
+    """
+
+    def __init__(self, size: int, shape: Sequence[int], hidden: int) -> None:
+        super().__init__()
+        height, width, colours = shape
+        self.shape = (-(-height // 4), -(-width // 4), colours)
+        self.net = mlp(size, hidden, 1, self.shape[0] * self.shape[1] * colours)
+
+    def forward(self, points: Tensor) -> Tensor:
+        """``(B, 2 P)`` → ``(B, H/4, W/4, C)`` in (0, 1)."""
+        image: Tensor = self.net(points).unflatten(1, self.shape)
+        return image.sigmoid()
 
 
 class Perception(nn.Module):
@@ -21,8 +86,7 @@ class Perception(nn.Module):
     Args:
         problem: Domains, and statistics of their raw states.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
-            images are left aside.
+        image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
 
     Raises:
         ConfigError: If a size is wrong, or ``scaling`` names a key that no domain has.
@@ -39,7 +103,7 @@ class Perception(nn.Module):
         self.sizes = self.sensed | {name: self.sensed[name] + encoder.size for name, encoder in image_encoders.items()}
 
     def forward(self, domain: str, observation: Observation[Tensor]) -> Tensor:
-        """What is seen in a domain, B rows → its state ``(B, S_d)``."""
+        """Observation of a domain, ``(B, O)`` and ``(B, H, W, C)`` → its state ``(B, S_d)``."""
         state: Tensor = self.scaler(observation.state, domain)
         if domain not in self.image_encoders:
             return state
@@ -48,10 +112,10 @@ class Perception(nn.Module):
 
 
 class PointReconstruction(nn.Module):
-    """Draws the images of all cameras again, small, from their feature points: that is what those are learnt by.
+    """Draws the images of all cameras again, small, from their feature points, which are learnt by that.
 
     Args:
-        perception: Whose feature points they are.
+        perception: Maker of the feature points.
         hidden: Units of the image decoders' hidden layer.
     """
 

@@ -1,4 +1,4 @@
-"""What the policies that map states between two domains have in common."""
+"""Policies that map states between two domains."""
 
 from __future__ import annotations
 
@@ -20,17 +20,14 @@ class TranslatingPolicy(AligningPolicy):
     Args:
         problem: Domains and tasks; exactly two domains.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        image_channels: Of each convolution of the image encoders, see :class:`Perception`.
+        image_channels: Channels of each convolution of the image encoders, see :class:`Perception`.
 
     Raises:
         ConfigError: If there are not two domains, or a size is wrong.
     """
 
     def __init__(
-        self,
-        problem: TransferProblem,
-        scaling: dict[str, Scaling] | None,
-        image_channels: Sequence[int],
+        self, problem: TransferProblem, scaling: dict[str, Scaling] | None, image_channels: Sequence[int]
     ) -> None:
         super().__init__(problem)
         if len(problem.domains) != 2:
@@ -42,6 +39,6 @@ class TranslatingPolicy(AligningPolicy):
         self.perception = Perception(problem, scaling or {}, image_channels)
 
     def features(self, domain: str, observation: Observation[Tensor]) -> Tensor:
-        """Scaled state and feature points ``(B, S_d)`` of a domain: what everything else is a function of."""
+        """Scaled state and feature points ``(B, S_d)`` of a domain, of which everything else is a function."""
         state: Tensor = self.perception(domain, observation)
         return state
