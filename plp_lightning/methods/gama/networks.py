@@ -1,4 +1,4 @@
-"""What GAMA needs beside perceptrons: target dynamics and a judge of transitions."""
+"""Target dynamics and a judge of transitions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from plp_lightning.networks import mlp
 
 
 class TargetDynamics(nn.Module):
-    """P(s_y, a_y) → s'_y: what a step changes is learnt, the rest stays.
+    """P(s_y, a_y) → s'_y: the change of a step is learnt, the rest stays.
 
     Args:
         states: S, size of a state.

@@ -1,4 +1,4 @@
-"""GAMA's phases: what can be learnt without the other domain, then the maps between them, then the new task."""
+"""GAMA's phases: first the parts that need no other domain, then the maps between domains, then the new task."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from plp_lightning.methods.gama.losses import (
 from plp_lightning.methods.gama.networks import TransitionDiscriminator
 from plp_lightning.methods.gama.policy import GamaPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.phase import Phase, step_count, tasks_of
 from plp_lightning.methods.translation.cached_features import CachedFeatures
 from plp_lightning.methods.translation.perception import PointReconstruction
 from plp_lightning.networks import with_frozen_parameters
@@ -57,28 +57,24 @@ class GamaPretraining(Phase[GamaPolicy]):
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """Both maps, which need the other domain."""
         policy = self.policy
         return {"scaler": policy.perception.scaler, "state_map": policy.state_map, "action_map": policy.action_map}
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Sum of losses that share no parameter."""
-        policy, steps = self.policy, batch.steps
-        state = {domain: policy.features(domain, s.observation) for domain, s in steps.items()}
+        steps = batch.steps
+        state = {domain: self.policy.features(domain, s.observation) for domain, s in steps.items()}
         parts = self._losses({domain: seen.detach() for domain, seen in state.items()}, steps)
         parts |= self.redrawing.losses(state, steps)
-        if self.logs_now:
-            self.log_parts(parts, sum(len(s.action) for s in steps.values()))
+        self.log_parts(parts, step_count(steps))
         return torch.stack([*parts.values()]).sum()
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Held-out loss of the source policy as ``val/bc``, of the dynamics as ``val/dynamics``."""
         state = {domain: self.policy.features(domain, s.observation) for domain, s in batch.steps.items()}
         for name, loss in self._losses(state, batch.steps).items():
-            self.log(f"val/{name}", loss, batch_size=sum(len(seen) for seen in state.values()), on_epoch=True)
+            self.log(f"val/{name}", loss, batch_size=step_count(batch.steps), on_epoch=True)
 
     def _losses(self, state: Mapping[str, Tensor], steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """Of the source policy and of the dynamics, as far as there are steps of their domains."""
+        """Losses of the source policy and of the dynamics, as far as there are steps of their domains."""
         policy, parts = self.policy, {}
         if policy.source in steps:
             taken = steps[policy.source]
@@ -99,9 +95,7 @@ class GamaPhase(CachedFeatures[GamaPolicy]):
     trains = GamaPolicy
 
     def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """The policy's actions, from the states that are known already."""
-        state = {domain: self.states[domain][s.row] for domain, s in steps.items()}
-        return self.policy.control(state, {domain: s.task for domain, s in steps.items()})
+        return self.policy.control({domain: self.states[domain][s.row] for domain, s in steps.items()}, tasks_of(steps))
 
 
 class GamaAlignment(GamaPhase):
@@ -149,12 +143,9 @@ class GamaAlignment(GamaPhase):
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """How states are perceived, and the source policy."""
-        policy = self.policy
-        return {"perception": policy.perception, "source_policy": policy.source_policy}
+        return {"perception": self.policy.perception, "source_policy": self.policy.source_policy}
 
     def parameter_groups(self) -> list[Any]:
-        """Both maps, the discriminator and the dynamics, each player with a learning rate of its own."""
         policy = self.policy
         return [
             {"params": [*policy.state_map.parameters(), *policy.action_map.parameters()]},
@@ -163,18 +154,14 @@ class GamaAlignment(GamaPhase):
         ]
 
     def on_fit_start(self) -> None:
-        """Perceive every step, and find out how much a step of the source domain changes."""
         super().on_fit_start()
         self.discriminator.unit.copy_(self.usual_change(self.policy.source))
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Losses of all players, from shared forward passes."""
         policy, judge = self.policy, self.discriminator
         here, there = batch.steps[policy.source], batch.steps[policy.target]
-        (real_state, real_next), (state, following) = (
-            self.before_and_after(policy.source, here.row),
-            self.before_and_after(policy.target, there.row),
-        )
+        real_state, real_next = self.before_and_after(policy.source, here.row)
+        state, following = self.before_and_after(policy.target, there.row)
         moved = policy.state_map(state)
         planned = policy.imitate(moved, there.task)
         action = policy.translate(planned, state)
@@ -189,8 +176,7 @@ class GamaAlignment(GamaPhase):
             "penalty": r1_penalty(judged, real, torch.ones_like(judged)),
             "dynamics": normalised_prediction_error(policy.dynamics(state, there.action), state, following),
         }
-        if self.logs_now:
-            self.log_parts(parts, len(state) + len(real_state))
+        self.log_parts(parts, step_count(batch.steps))
         return torch.stack([self.weights.get(name, 1.0) * loss for name, loss in parts.items()]).sum()
 
 
@@ -220,19 +206,13 @@ class GamaAdaptation(GamaPhase):
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """Everything but the source policy."""
         return {name: part for name, part in self.policy.named_children() if name != "source_policy"}
 
     def trained_parameters(self) -> Iterable[nn.Parameter]:
-        """The source policy's."""
         return self.policy.source_policy.parameters()
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Behavioural cloning on the target task and the mixed-in alignment data."""
         steps = {domain: s for domain, s in batch.steps.items() if domain in self.learns_from}
         if not steps:  # by chance, the last batch of an epoch may hold nothing else
             return torch.stack([parameter.sum() for parameter in self.trained_parameters()]).sum() * 0
-        loss = behavioural_cloning(self.predict(steps), {domain: s.action for domain, s in steps.items()})
-        if self.logs_now:
-            self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
-        return loss
+        return super().training_step(batch._replace(steps=steps), batch_idx)

@@ -1,4 +1,4 @@
-"""One step of the dynamics: where it leads, and by which action."""
+"""One step of the dynamics: the state that it leads to, and the action."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from plp_lightning.losses import behavioural_cloning
 def one_step(
     prediction: Mapping[str, Tensor], outcome: Mapping[str, Tensor], reduction: Literal["mean", "sum"] = "mean"
 ) -> Tensor:
-    r"""Squared distance to what is known about a step, mean over the steps of all domains.
+    r"""Squared distance to the known outcome of a step, mean over the steps of all domains.
 
     .. math::
         L_{next} &= \mathbb{E} \| \pi_z(\phi_d(s), k) - \mathrm{sg}[\phi_d(s')] \|^2 \\

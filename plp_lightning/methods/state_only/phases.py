@@ -14,9 +14,9 @@ from datamodules.errors import ConfigError
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.phase import step_count, tasks_of
 from plp_lightning.methods.plp.adaptation import Adaptation
-from plp_lightning.methods.plp.alignment import Alignment, batch_size
+from plp_lightning.methods.plp.alignment import Alignment
 from plp_lightning.methods.plp.terms import TermFactory
 from plp_lightning.methods.policy import Parts
 from plp_lightning.methods.state_only.losses import one_step
@@ -61,34 +61,33 @@ class StateOnlyAlignment(Alignment):
         self.next_reduction, self.target = next_reduction, policy.problem.target_domain
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Held-out losses that no source action is needed for."""
         steps = batch.steps
         latent = self.policy.encode({domain: s.observation for domain, s in steps.items()})
         loss = self.imitation_losses(latent, steps)["next"]
-        self.log("val/next", loss, batch_size=batch_size(batch), on_epoch=True)
-        known = {domain: s for domain, s in steps.items() if domain == self.target}
-        Phase.validation_step(self, Batch(known, {}), batch_idx)
+        self.log("val/next", loss, batch_size=step_count(steps), on_epoch=True)
+        super().validation_step(Batch(self._known(steps), {}), batch_idx)
 
     def imitation_losses(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """L_next, and where there are steps of the target domain L_IDM."""
         following = {domain: s.next_observation for domain, s in steps.items() if s.next_observation is not None}
         assert following.keys() == steps.keys(), "batch_spec asks for it"
         with torch.no_grad():
             after = self.policy.encode(following)
-        latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
+        latent_action = self.policy.latent_action(latent, tasks_of(steps))
         parts = {"next": one_step(latent_action, after, self.next_reduction)}
-        here = {domain: s for domain, s in steps.items() if domain == self.target}
-        if here:
-            action = self.policy.decode({d: after[d] for d in here}, {d: s.observation for d, s in here.items()})
-            parts["inverse"] = one_step(action, {d: s.action for d, s in here.items()})
+        if known := self._known(steps):
+            action = self.policy.decode({d: after[d] for d in known}, {d: s.observation for d, s in known.items()})
+            parts["inverse"] = one_step(action, {d: s.action for d, s in known.items()})
         return parts
+
+    def _known(self, steps: Mapping[str, Steps]) -> dict[str, Steps]:
+        """Steps with actions that may be looked at: the target domain's."""
+        return {domain: s for domain, s in steps.items() if domain == self.target}
 
 
 class StateOnlyAdaptation(Adaptation):
     """Next-latent prediction of the target task from source states alone, with encoder and decoder frozen.
 
-    As the target task's demonstrations have no actions, the best checkpoint is told by the held-out loss of the
-    prediction.
+    The target task's demonstrations have no actions, so the prediction's held-out loss tells the best checkpoint.
 
     Args:
         policy: The aligned policy.
@@ -121,27 +120,21 @@ class StateOnlyAdaptation(Adaptation):
         self.next_row = {domain: dataset.next_row.to(self.device) for domain, dataset in datasets.items()}
 
     def _rows_to_encode(self, dataset: DomainDataset) -> int:
-        """Last observations too, which follow steps."""
-        return len(dataset.observation)
+        return len(dataset.observation)  # last observations too, which follow steps
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """L_next on the target task and the mixed-in alignment data."""
         loss = self._foresight(batch.steps)
-        if self.logs_now:
-            self.log_parts({"next": loss}, sum(len(s.action) for s in batch.steps.values()))
+        self.log_parts({"next": loss}, step_count(batch.steps))
         return loss
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """L_next on held-out trajectories of the target task."""
-        size = sum(len(s.action) for s in batch.steps.values())
-        self.log("val/next", self._foresight(batch.steps), batch_size=size, on_epoch=True)
+        self.log("val/next", self._foresight(batch.steps), batch_size=step_count(batch.steps), on_epoch=True)
 
     def _foresight(self, steps: Mapping[str, Steps]) -> Tensor:
         """L_next, from latent states that are known already."""
         latent = {domain: self.latents[domain][s.row] for domain, s in steps.items()}
         after = {domain: self.latents[domain][self.next_row[domain][s.row]] for domain, s in steps.items()}
-        latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
-        return one_step(latent_action, after, self.next_reduction)
+        return one_step(self.policy.latent_action(latent, tasks_of(steps)), after, self.next_reduction)
 
 
 def _check_decoder(policy: StateOnlyPolicy) -> None:
