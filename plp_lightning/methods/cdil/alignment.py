@@ -22,7 +22,7 @@ from plp_lightning.methods.cdil.networks import OTHER, Role
 from plp_lightning.methods.cdil.phases import CdilPhase
 from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, LinearDecay, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.translation.cached_features import CachedFeatures
+from plp_lightning.methods.translation import CachedFeatures
 from plp_lightning.networks import TaskNetwork, with_frozen_parameters
 
 

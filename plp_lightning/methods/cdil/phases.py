@@ -15,8 +15,7 @@ from plp_lightning.methods.cdil.networks import Role
 from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count
-from plp_lightning.methods.translation.cached_features import CachedFeatures
-from plp_lightning.methods.translation.perception import PointReconstruction
+from plp_lightning.methods.translation import CachedFeatures, PointReconstruction
 
 
 class CdilPhase(Phase[CdilPolicy]):

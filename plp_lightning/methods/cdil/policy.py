@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
@@ -9,7 +10,7 @@ from datamodules.problem import TransferProblem
 from datamodules.settings import PositiveInt
 from plp_lightning.methods.cdil.networks import Pace, Role, Translator
 from plp_lightning.methods.policy import Observations, Parts
-from plp_lightning.methods.translation.policy import TranslatingPolicy
+from plp_lightning.methods.translation import TranslatingPolicy
 from plp_lightning.networks import TaskNetwork, mlp
 
 
@@ -76,15 +77,12 @@ class CdilPolicy(TranslatingPolicy):
 
     def clone(self, state: Tensor, task: Tensor, role: Role) -> Tensor:
         """π: states ``(B, O)`` and tasks ``(B,)`` → actions ``(B, A)``."""
-        action: Tensor = self.clones[role](state, task)
-        return action.tanh()
+        return torch.tanh(self.clones[role](state, task))
 
     def position(self, state: Tensor, task: Tensor, role: Role) -> Tensor:
         """P: states ``(B, O)`` and tasks ``(B,)`` → share of the trajectory that lies behind, ``(B,)``."""
-        position: Tensor = self.positions[role](state, task)
-        return position.squeeze(-1).sigmoid()
+        return torch.sigmoid(self.positions[role](state, task).squeeze(-1))
 
     def infer(self, now: Tensor, following: Tensor) -> Tensor:
         """I: two target states ``(B, O_y)``, one after the other → the action in between, ``(B, A_y)``."""
-        action: Tensor = self.inverse_dynamics(self.pace(now, following, "target"))
-        return action.tanh()
+        return torch.tanh(self.inverse_dynamics(self.pace(now, following, "target")))

@@ -145,8 +145,7 @@ class EncoderLayer(nn.Module):
         seen = self.norms[0](x)
         memory = self.attention.remember(seen, packing)
         x = x + self.dropout(self.attention(seen, packing, memory, packing.mask[:, None, None]))
-        added: Tensor = x + self.dropout(self.feed_forward(self.norms[1](x)))
-        return added
+        return x + self.dropout(self.feed_forward(self.norms[1](x)))
 
 
 class DecoderLayer(nn.Module):
@@ -164,15 +163,13 @@ class DecoderLayer(nn.Module):
         seen = self.norms[0](x)
         x = x + self.dropout(self.past_attention(seen, packing, self.past_attention.remember(seen, packing), None))
         x = x + self.dropout(self.shown_attention(self.norms[1](x), packing, shown, mask))
-        added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
-        return added
+        return x + self.dropout(self.feed_forward(self.norms[2](x)))
 
     def step(self, x: Tensor, past: Past, shown: Tensor, mask: Tensor) -> Tensor:
         """Does the same for the next frame ``(P, W)`` of each sequence, as ``(P, W)``."""
         x = x + self.dropout(self.past_attention.step(self.norms[0](x), past))
         x = x + self.dropout(self.shown_attention.recall(self.norms[1](x), shown, mask))
-        added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
-        return added
+        return x + self.dropout(self.feed_forward(self.norms[2](x)))
 
 
 class TransformerEncoder(nn.Module):

@@ -24,8 +24,7 @@ class TargetDynamics(nn.Module):
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
         """``(B, S)`` and ``(B, A)`` → the next state ``(B, S)``."""
-        change: Tensor = self.net(torch.cat([state, action], dim=1))
-        return state + change
+        return state + self.net(torch.cat([state, action], dim=1))
 
 
 class TransitionDiscriminator(nn.Module):

@@ -21,8 +21,7 @@ from plp_lightning.methods.gama.networks import TransitionDiscriminator
 from plp_lightning.methods.gama.policy import GamaPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count, tasks_of
-from plp_lightning.methods.translation.cached_features import CachedFeatures
-from plp_lightning.methods.translation.perception import PointReconstruction
+from plp_lightning.methods.translation import CachedFeatures, PointReconstruction
 from plp_lightning.networks import with_frozen_parameters
 
 

@@ -13,7 +13,7 @@ from datamodules.problem import TransferProblem
 from datamodules.settings import PositiveInt
 from plp_lightning.methods.gama.networks import TargetDynamics
 from plp_lightning.methods.policy import Observations, Parts
-from plp_lightning.methods.translation.policy import TranslatingPolicy
+from plp_lightning.methods.translation import TranslatingPolicy
 from plp_lightning.networks import ActionDecoder, StateEncoder
 
 

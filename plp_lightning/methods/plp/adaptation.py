@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-import torch
 from torch import Tensor, nn
 
 from datamodules.batches.dataset import DomainDataset
 from datamodules.settings import PositiveInt
 from datamodules.types import BatchSpec, Observation, Steps
+from plp_lightning.methods.cached_states import CachedStates
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase, tasks_of
+from plp_lightning.methods.phase import tasks_of
 from plp_lightning.methods.plp.policy import PortablePolicy
 
 
-class Adaptation(Phase[PortablePolicy]):
+class Adaptation(CachedStates[PortablePolicy]):
     """Behavioural cloning of the target task with encoder and decoder frozen (paper, Eq. 6, Algorithm 2).
 
-    The encoder never changes here, so the latent state of every step is computed once, when the phase begins, and
-    looked up by row from then on; no image is read again, unless the decoder sees them.
+    The encoder never changes here, so latent states are computed once; no image is read again, unless the decoder sees
+    them.
 
     Args:
         policy: The aligned policy.
@@ -39,7 +39,6 @@ class Adaptation(Phase[PortablePolicy]):
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.batch_spec = BatchSpec("mix", images=policy.decoder_sees_images)
-        self.latents: dict[str, Tensor] = {}
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
@@ -50,27 +49,13 @@ class Adaptation(Phase[PortablePolicy]):
     def trained_parameters(self) -> Iterable[nn.Parameter]:
         return self.policy.common.parameters()
 
-    def on_fit_start(self) -> None:
-        self._encode_all()
+    def state_of(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        return self.policy.encode({domain: observation})[domain]
 
-    def on_validation_start(self) -> None:
-        if not self.latents:  # without training before
-            self._encode_all()
-
-    @torch.no_grad()
-    def _encode_all(self) -> None:
-        for domain, dataset in self.trainer.datamodule.datasets.items():  # type: ignore[attr-defined]
-            chunks = torch.arange(self._rows_to_encode(dataset)).split(dataset.rows_at_a_time(8192))
-            parts = [self._encode(domain, dataset.observation.take(rows)) for rows in chunks]
-            self.latents[domain] = torch.cat(parts)
-
-    def _rows_to_encode(self, dataset: DomainDataset) -> int:
+    def _rows_to_cache(self, dataset: DomainDataset) -> int:
         return len(dataset)
 
-    def _encode(self, domain: str, observation: Observation[Tensor]) -> Tensor:
-        return self.policy.encode({domain: observation.map(lambda x: x.to(self.device))})[domain]
-
     def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        latent = {domain: self.latents[domain][s.row] for domain, s in steps.items()}
+        latent = {domain: self.states[domain][s.row] for domain, s in steps.items()}
         latent_action = self.policy.latent_action(latent, tasks_of(steps))
         return self.policy.decode(latent_action, {domain: s.observation for domain, s in steps.items()})

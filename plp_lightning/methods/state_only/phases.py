@@ -99,8 +99,6 @@ class StateOnlyAdaptation(Adaptation):
 
     trains = StateOnlyPolicy
     monitor = "val/next"
-    next_row: dict[str, Tensor]
-    """Row of the next latent state of each step, by domain."""
 
     def __init__(
         self,
@@ -114,13 +112,8 @@ class StateOnlyAdaptation(Adaptation):
         self.batch_spec = BatchSpec("mix", images=False, next_observation=True)
         self.next_reduction = next_reduction
 
-    def _encode_all(self) -> None:
-        super()._encode_all()
-        datasets = self.trainer.datamodule.datasets  # type: ignore[attr-defined]
-        self.next_row = {domain: dataset.next_row.to(self.device) for domain, dataset in datasets.items()}
-
-    def _rows_to_encode(self, dataset: DomainDataset) -> int:
-        return len(dataset.observation)  # last observations too, which follow steps
+    def _rows_to_cache(self, dataset: DomainDataset) -> int:
+        return len(dataset.observation)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         loss = self._foresight(batch.steps)
@@ -132,8 +125,8 @@ class StateOnlyAdaptation(Adaptation):
 
     def _foresight(self, steps: Mapping[str, Steps]) -> Tensor:
         """L_next, from latent states that are known already."""
-        latent = {domain: self.latents[domain][s.row] for domain, s in steps.items()}
-        after = {domain: self.latents[domain][self.next_row[domain][s.row]] for domain, s in steps.items()}
+        known = {domain: self.before_and_after(domain, s.row) for domain, s in steps.items()}
+        latent, after = ({domain: states[i] for domain, states in known.items()} for i in (0, 1))
         return one_step(self.policy.latent_action(latent, tasks_of(steps)), after, self.next_reduction)
 
 

@@ -1,23 +1,22 @@
-"""States that no longer change while a phase lasts: each is computed once and looked up from then on."""
+"""States that no longer change while a phase lasts: each is computed once and looked up by row from then on."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from abc import abstractmethod
 
 import torch
 from torch import Tensor
 
+from datamodules.batches.dataset import DomainDataset
+from datamodules.types import Observation
 from plp_lightning.methods.optimization import OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.translation.policy import TranslatingPolicy
+from plp_lightning.methods.phase import P, Phase
 
-T = TypeVar("T", bound=TranslatingPolicy)
 ROWS_AT_A_TIME = 8192
-NO_CHANGE = 1e-6
 
 
-class CachedFeatures(Phase[T]):
-    """A phase in which perception is frozen; it needs no images in its batches.
+class CachedStates(Phase[P]):
+    """A phase that trains nothing of what makes its states; it needs no images in its batches for them.
 
     Args:
         policy: The policy to train.
@@ -27,11 +26,15 @@ class CachedFeatures(Phase[T]):
     """
 
     def __init__(
-        self, policy: T, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None
+        self, policy: P, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.states: dict[str, Tensor] = {}
         self.next_row: dict[str, Tensor] = {}
+
+    @abstractmethod
+    def state_of(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        """State ``(B, S_d)`` of a domain's observation, ``(B, O)`` and ``(B, H, W, C)``."""
 
     def on_fit_start(self) -> None:
         self._cache_all()
@@ -45,18 +48,13 @@ class CachedFeatures(Phase[T]):
         states = self.states[domain]
         return states[rows], states[self.next_row[domain][rows]]
 
-    def usual_change(self, domain: str) -> Tensor:
-        """Root mean square ``(S_d,)`` of changes in a training step of the proxy tasks; 1 for columns that rest."""
-        data = self.trainer.datamodule  # type: ignore[attr-defined]
-        rows = data.rows(data.proxy_tasks, "train", next_observation=True)[domain]
-        before, after = self.before_and_after(domain, torch.from_numpy(rows).to(self.device))
-        change = (after - before).square().mean(0).sqrt()
-        return change.where(change > NO_CHANGE, 1)
+    def _rows_to_cache(self, dataset: DomainDataset) -> int:
+        return len(dataset.observation)  # last observations too, which follow steps
 
     @torch.no_grad()
     def _cache_all(self) -> None:
         for domain, dataset in self.trainer.datamodule.datasets.items():  # type: ignore[attr-defined]
-            chunks = torch.arange(len(dataset.observation)).split(dataset.rows_at_a_time(ROWS_AT_A_TIME))
+            chunks = torch.arange(self._rows_to_cache(dataset)).split(dataset.rows_at_a_time(ROWS_AT_A_TIME))
             seen = (dataset.observation.take(rows).map(lambda x: x.to(self.device)) for rows in chunks)
-            self.states[domain] = torch.cat([self.policy.features(domain, observation) for observation in seen])
+            self.states[domain] = torch.cat([self.state_of(domain, observation) for observation in seen])
             self.next_row[domain] = dataset.next_row.to(self.device)

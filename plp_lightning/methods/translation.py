@@ -1,12 +1,14 @@
-"""States of the methods that translate them: numbers that are sensed, and feature points of images.
+"""TRANSLATION: states, policy and phase that GAMA and CDIL share, which translate states between two domains.
 
-Feature points are a few places in an image, found without any action by drawing the image again.
+States are numbers that are sensed, and feature points of images: a few places in an image, found without any action by
+drawing the image again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -16,8 +18,12 @@ from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.types import Observation, Steps
 from plp_lightning.losses import reconstruction
+from plp_lightning.methods.cached_states import CachedStates
+from plp_lightning.methods.policy import AligningPolicy
 from plp_lightning.networks import InputScaler, mlp
 from plp_lightning.networks.vision import initialise, pixel_coordinates
+
+NO_CHANGE = 1e-6
 
 
 class SpatialEncoder(nn.Module):
@@ -29,17 +35,12 @@ class SpatialEncoder(nn.Module):
     Args:
         shape: Height, width and colours of an image.
         channels: Channels of each convolution; each of the last one's becomes a point.
-
-    Raises:
-        ConfigError: If a size is not positive.
     """
 
     coordinates: Tensor
 
     def __init__(self, shape: Sequence[int], channels: Sequence[int]) -> None:
         super().__init__()
-        if min(channels) < 1:
-            raise ConfigError(f"image_channels is {list(channels)}; expected at least 1 each")
         height, width, colours = shape
         self.size = 2 * channels[-1]
         grid = pixel_coordinates((height + 1) // 2, (width + 1) // 2)
@@ -76,8 +77,7 @@ class PointDecoder(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """``(B, 2 P)`` → ``(B, H/4, W/4, C)`` in (0, 1)."""
-        image: Tensor = self.net(points).unflatten(1, self.shape)
-        return image.sigmoid()
+        return torch.sigmoid(self.net(points).unflatten(1, self.shape))
 
 
 class Perception(nn.Module):
@@ -136,3 +136,51 @@ class PointReconstruction(nn.Module):
             drawn[domain] = self.decoders[domain](state[domain][:, self.first_point[domain] :])
             images[domain] = image
         return {"reconstruction": reconstruction(drawn, images)} if drawn else {}
+
+
+class TranslatingPolicy(AligningPolicy):
+    """A policy with one map each way between source x and target y, all on features.
+
+    Args:
+        problem: Domains and tasks; exactly two domains.
+        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        image_channels: Channels of each convolution of the image encoders, see :class:`Perception`.
+
+    Raises:
+        ConfigError: If there are not two domains, or a size is wrong.
+    """
+
+    def __init__(
+        self, problem: TransferProblem, scaling: dict[str, Scaling] | None, image_channels: Sequence[int]
+    ) -> None:
+        super().__init__(problem)
+        if len(problem.domains) != 2:
+            raise ConfigError(
+                f"{type(self).__name__} translates between two domains, found {', '.join(self.domains)}; "
+                "leave all but source and target domain away"
+            )
+        self.source, self.target = problem.source_domain, problem.target_domain
+        self.perception = Perception(problem, scaling or {}, image_channels)
+
+    def features(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        """Scaled state and feature points ``(B, S_d)`` of a domain, of which everything else is a function."""
+        state: Tensor = self.perception(domain, observation)
+        return state
+
+
+T = TypeVar("T", bound=TranslatingPolicy)
+
+
+class CachedFeatures(CachedStates[T]):
+    """A phase in which perception is frozen, with the arguments of :class:`CachedStates`."""
+
+    def state_of(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        return self.policy.features(domain, observation)
+
+    def usual_change(self, domain: str) -> Tensor:
+        """Root mean square ``(S_d,)`` of changes in a training step of the proxy tasks; 1 for columns that rest."""
+        data = self.trainer.datamodule  # type: ignore[attr-defined]
+        rows = data.rows(data.proxy_tasks, "train", next_observation=True)[domain]
+        before, after = self.before_and_after(domain, torch.from_numpy(rows).to(self.device))
+        change = (after - before).square().mean(0).sqrt()
+        return change.where(change > NO_CHANGE, 1)
