@@ -1,11 +1,9 @@
-"""Penalty on a discriminator's slope."""
+"""Penalty on a discriminator's slope at weighted samples."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
-
-from plp_lightning.losses.weighted_mean import weighted_mean
 
 
 def r1_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
@@ -32,3 +30,15 @@ def r1_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
     """
     (slope,) = torch.autograd.grad(judged.sum(), real, create_graph=True)
     return weighted_mean(slope.square().sum(dim=1), weight) / 2
+
+
+def weighted_mean(value: Tensor, weight: Tensor) -> Tensor:
+    """Mean of ``value (B,)`` under ``weight (B,)``, bool or ≥ 0; 0 if all weights are 0.
+
+    Example:
+        >>> weighted_mean(torch.tensor([1.0, 2.0, 9.0]), torch.tensor([True, True, False]))
+        tensor(1.5000)
+    """
+    assert value.shape == weight.shape, f"expected one weight a sample {tuple(value.shape)}, got {tuple(weight.shape)}"
+    total = weight.sum()
+    return (value * weight).sum() / total.where(total > 0, 1)

@@ -18,7 +18,7 @@ from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.types import Observation, Steps
 from plp_lightning.losses import reconstruction
-from plp_lightning.methods.cached_states import CachedStates
+from plp_lightning.methods.phase import CachedStates
 from plp_lightning.methods.policy import AligningPolicy
 from plp_lightning.networks import InputScaler, mlp
 from plp_lightning.networks.vision import initialise, pixel_coordinates

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from plp_lightning.methods.cdil.networks import Pace, Translator
+from plp_lightning.methods.cdil.policy import Pace, Translator
 from plp_lightning.networks import TaskNetwork, with_frozen_parameters
 
 

@@ -11,16 +11,15 @@ from torch import Tensor, nn
 
 from datamodules.settings import Configured, NonNegativeFloat, PositiveInt
 from datamodules.types import Batch, BatchSpec
-from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.losses import r1_penalty
 from plp_lightning.methods.cdil.losses import (
     cycle,
     position_gap,
     translation_discriminator_loss,
     translation_generator_loss,
 )
-from plp_lightning.methods.cdil.networks import OTHER, Role
 from plp_lightning.methods.cdil.phases import CdilPhase
-from plp_lightning.methods.cdil.policy import CdilPolicy
+from plp_lightning.methods.cdil.policy import OTHER, CdilPolicy, Role
 from plp_lightning.methods.optimization import FusedAdamW, LinearDecay, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.translation import CachedFeatures
 from plp_lightning.networks import TaskNetwork, with_frozen_parameters

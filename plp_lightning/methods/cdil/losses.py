@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from plp_lightning.losses.weighted_mean import weighted_mean
+from plp_lightning.losses import weighted_mean
 
 
 def translation_discriminator_loss(real: Tensor, made: Tensor, real_weight: Tensor, made_weight: Tensor) -> Tensor:

@@ -10,9 +10,8 @@ from torch.nn import functional
 
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
-from plp_lightning.losses.weighted_mean import weighted_mean
-from plp_lightning.methods.cdil.networks import Role
-from plp_lightning.methods.cdil.policy import CdilPolicy
+from plp_lightning.losses import weighted_mean
+from plp_lightning.methods.cdil.policy import CdilPolicy, Role
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count
 from plp_lightning.methods.translation import CachedFeatures, PointReconstruction

@@ -145,7 +145,8 @@ class EncoderLayer(nn.Module):
         seen = self.norms[0](x)
         memory = self.attention.remember(seen, packing)
         x = x + self.dropout(self.attention(seen, packing, memory, packing.mask[:, None, None]))
-        return x + self.dropout(self.feed_forward(self.norms[1](x)))
+        added: Tensor = x + self.dropout(self.feed_forward(self.norms[1](x)))
+        return added
 
 
 class DecoderLayer(nn.Module):
@@ -163,13 +164,15 @@ class DecoderLayer(nn.Module):
         seen = self.norms[0](x)
         x = x + self.dropout(self.past_attention(seen, packing, self.past_attention.remember(seen, packing), None))
         x = x + self.dropout(self.shown_attention(self.norms[1](x), packing, shown, mask))
-        return x + self.dropout(self.feed_forward(self.norms[2](x)))
+        added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
+        return added
 
     def step(self, x: Tensor, past: Past, shown: Tensor, mask: Tensor) -> Tensor:
         """Does the same for the next frame ``(P, W)`` of each sequence, as ``(P, W)``."""
         x = x + self.dropout(self.past_attention.step(self.norms[0](x), past))
         x = x + self.dropout(self.shown_attention.recall(self.norms[1](x), shown, mask))
-        return x + self.dropout(self.feed_forward(self.norms[2](x)))
+        added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
+        return added
 
 
 class TransformerEncoder(nn.Module):

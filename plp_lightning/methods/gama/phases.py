@@ -10,19 +10,17 @@ from torch import Tensor, nn
 
 from datamodules.settings import NonNegativeFloat, PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
-from plp_lightning.losses import behavioural_cloning
-from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.losses import behavioural_cloning, r1_penalty
 from plp_lightning.methods.gama.losses import (
     normalised_prediction_error,
     transition_discriminator_loss,
     transition_generator_loss,
 )
-from plp_lightning.methods.gama.networks import TransitionDiscriminator
 from plp_lightning.methods.gama.policy import GamaPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count, tasks_of
 from plp_lightning.methods.translation import CachedFeatures, PointReconstruction
-from plp_lightning.networks import with_frozen_parameters
+from plp_lightning.networks import mlp, with_frozen_parameters
 
 
 class GamaPretraining(Phase[GamaPolicy]):
@@ -95,6 +93,39 @@ class GamaPhase(CachedFeatures[GamaPolicy]):
 
     def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         return self.policy.control({domain: self.states[domain][s.row] for domain, s in steps.items()}, tasks_of(steps))
+
+
+class TransitionDiscriminator(nn.Module):
+    """Tells whether a transition and its task are of the source domain or translated.
+
+    The one-hot task makes it one discriminator a task. It sees the next state as the change, in units of a typical
+    one: as next states, two transitions that differ in all that matters would look the same.
+
+    Args:
+        states: S, size of a source state.
+        actions: A, size of a source action.
+        tasks: K, number of tasks.
+        hidden: Units in a hidden layer.
+        layers: Hidden layers.
+    """
+
+    unit: Tensor
+
+    def __init__(self, states: int, actions: int, tasks: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.tasks = tasks
+        self.register_buffer("unit", torch.ones(states))
+        self.net = mlp(2 * states + actions + tasks, hidden, layers, 1)
+
+    def describe(self, state: Tensor, action: Tensor, following: Tensor, task: Tensor) -> Tensor:
+        """``(B, S)``, ``(B, A)``, ``(B, S)`` and int64 ``(B,)`` → one row for each transition ``(B, 2 S + A + K)``."""
+        one_hot = nn.functional.one_hot(task, self.tasks).to(state.dtype)
+        return torch.cat([state, action, (following - state) / self.unit, one_hot], dim=1)
+
+    def forward(self, transition: Tensor) -> Tensor:
+        """Descriptions ``(B, 2 S + A + K)`` → logits ``(B,)`` of being real; gradients reach the discriminator."""
+        logits: Tensor = self.net(transition)
+        return logits[:, 0]
 
 
 class GamaAlignment(GamaPhase):

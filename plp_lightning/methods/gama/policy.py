@@ -6,15 +6,35 @@ domain y, the target's policy is ``g(π_x(f(s_y), k))``: f maps states y → x, 
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.settings import PositiveInt
-from plp_lightning.methods.gama.networks import TargetDynamics
 from plp_lightning.methods.policy import Observations, Parts
 from plp_lightning.methods.translation import TranslatingPolicy
-from plp_lightning.networks import ActionDecoder, StateEncoder
+from plp_lightning.networks import ActionDecoder, StateEncoder, mlp
+
+
+class TargetDynamics(nn.Module):
+    """P(s_y, a_y) → s'_y: the change of a step is learnt, the rest stays.
+
+    Args:
+        states: S, size of a state.
+        actions: A, size of an action.
+        hidden: Units in a hidden layer.
+        layers: Hidden layers.
+    """
+
+    def __init__(self, states: int, actions: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.net = mlp(states + actions, hidden, layers, states)
+
+    def forward(self, state: Tensor, action: Tensor) -> Tensor:
+        """``(B, S)`` and ``(B, A)`` → the next state ``(B, S)``."""
+        change: Tensor = self.net(torch.cat([state, action], dim=1))
+        return state + change
 
 
 class GamaPolicy(TranslatingPolicy):

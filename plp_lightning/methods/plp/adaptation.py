@@ -9,9 +9,8 @@ from torch import Tensor, nn
 from datamodules.batches.dataset import DomainDataset
 from datamodules.settings import PositiveInt
 from datamodules.types import BatchSpec, Observation, Steps
-from plp_lightning.methods.cached_states import CachedStates
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import tasks_of
+from plp_lightning.methods.phase import CachedStates, tasks_of
 from plp_lightning.methods.plp.policy import PortablePolicy
 
 

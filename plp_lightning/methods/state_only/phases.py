@@ -13,16 +13,42 @@ from datamodules.batches.dataset import DomainDataset
 from datamodules.errors import ConfigError
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
+from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import step_count, tasks_of
 from plp_lightning.methods.plp.adaptation import Adaptation
 from plp_lightning.methods.plp.alignment import Alignment
 from plp_lightning.methods.plp.terms import TermFactory
 from plp_lightning.methods.policy import Parts
-from plp_lightning.methods.state_only.losses import one_step
 from plp_lightning.methods.state_only.policy import StateOnlyPolicy
 
 Reduction = Literal["mean", "sum"]
+
+
+def one_step(prediction: Mapping[str, Tensor], outcome: Mapping[str, Tensor], reduction: Reduction = "mean") -> Tensor:
+    r"""Squared distance to the known outcome of a step, mean over the steps of all domains.
+
+    .. math::
+        L_{next} &= \mathbb{E} \| \pi_z(\phi_d(s), k) - \mathrm{sg}[\phi_d(s')] \|^2 \\
+        L_{IDM} &= \mathbb{E} \| \psi(\mathrm{sg}[\phi_y(s')], s) - a \|^2
+
+    with the next latent state as the outcome in the first and the action in the second. No gradient reaches the
+    outcome. See "Cross-Domain Policy Transfer by Representation Alignment via Multi-Domain Behavioral Cloning"
+    (https://arxiv.org/abs/2407.16912), appendix on transfer from state-only demonstrations.
+
+    Args:
+        prediction: By domain, ``(B_d, N_d)``.
+        outcome: By domain, ``(B_d, N_d)``.
+        reduction: Over the N_d numbers: their ``mean``, or their ``sum`` (as printed).
+
+    Returns:
+        Scalar.
+
+    Example:
+        >>> one_step({"ant": torch.zeros(1, 2)}, {"ant": torch.tensor([[2.0, 0.0]])})
+        tensor(2.)
+    """
+    return behavioural_cloning(prediction, {domain: found.detach() for domain, found in outcome.items()}, reduction)
 
 
 class StateOnlyAlignment(Alignment):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.losses import r1_penalty
 
 
 def domain_discriminator_loss(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
