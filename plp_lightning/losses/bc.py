@@ -12,7 +12,7 @@ from torch import Tensor
 def behavioural_cloning(
     prediction: Mapping[str, Tensor], action: Mapping[str, Tensor], reduction: Literal["mean", "sum"] = "mean"
 ) -> Tensor:
-    r"""Squared distance to the demonstrated action, mean over the samples of all domains.
+    r"""Squared distance to the demonstrated action, a scalar, the mean over the samples of all domains.
 
     .. math:: L_{BC} = \mathbb{E}_{(s,a,d,k)} \| \psi_d(\pi_z(\phi_d(s), k), s) - a \|^2
 
@@ -25,9 +25,6 @@ def behavioural_cloning(
         action: By domain, what the expert did, ``(B_d, A_d)``.
         reduction: Over the action dimensions of a domain: their ``mean``, so that domains weigh alike whatever the
             size of their actions, or their ``sum`` (as printed).
-
-    Returns:
-        Scalar.
 
     Example:
         >>> behavioural_cloning({"point": torch.tensor([[1.0, 2.0]])}, {"point": torch.zeros(1, 2)})

@@ -61,13 +61,7 @@ class SpatialEncoder(nn.Module):
 
 
 class PointDecoder(nn.Module):
-    """Feature points → the image that they came from, a quarter as high and wide.
-
-    Args:
-        size: Length of the points' vector.
-        shape: Height, width and colours of an image.
-        hidden: Units of its hidden layer.
-    """
+    """A vector of ``size`` feature points → the image of ``shape`` that they came from, a quarter as high and wide."""
 
     def __init__(self, size: int, shape: Sequence[int], hidden: int) -> None:
         super().__init__()
@@ -89,7 +83,7 @@ class Perception(nn.Module):
         image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
 
     Raises:
-        ConfigError: If a size is wrong, or ``scaling`` names a key that no domain has.
+        ConfigError: If ``scaling`` names a key that no domain has.
     """
 
     def __init__(self, problem: TransferProblem, scaling: Mapping[str, Scaling], image_channels: Sequence[int]) -> None:
@@ -147,7 +141,7 @@ class TranslatingPolicy(AligningPolicy):
         image_channels: Channels of each convolution of the image encoders, see :class:`Perception`.
 
     Raises:
-        ConfigError: If there are not two domains, or a size is wrong.
+        ConfigError: If there are not two domains.
     """
 
     def __init__(

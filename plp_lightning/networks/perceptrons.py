@@ -9,23 +9,14 @@ from torch import Tensor, nn
 
 
 def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
-    """``layers`` hidden layers of ``hidden`` GELU units, then one linear layer."""
+    """Builds ``layers`` hidden layers of ``hidden`` GELU units, then one linear layer: ``(B, N)`` → ``(B, M)``."""
     sizes = [inputs] + [hidden] * layers
-    blocks: list[nn.Module] = []
-    for size_in, size_out in pairwise(sizes):
-        blocks += [nn.Linear(size_in, size_out), nn.GELU()]
+    blocks = [block for size, after in pairwise(sizes) for block in (nn.Linear(size, after), nn.GELU())]
     return nn.Sequential(*blocks, nn.Linear(sizes[-1], outputs))
 
 
 class StateEncoder(nn.Module):
-    """φ(s, d): padded, scaled state and one-hot domain → latent state s_z.
-
-    Args:
-        inputs: Width of the padded state and the domain id together.
-        latent: Z, size of the latent state.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
-    """
+    """φ(s, d): padded, scaled state and one-hot domain, ``inputs`` numbers together → ``latent`` numbers s_z."""
 
     def __init__(self, inputs: int, latent: int, hidden: int, layers: int) -> None:
         super().__init__()
@@ -43,7 +34,7 @@ class TaskNetwork(nn.Module):
     Args:
         inputs: N, length of the vector.
         tasks: K, number of task ids; ids of tasks to come have their place from the start.
-        outputs: M, how many numbers.
+        outputs: M, length of the result.
         hidden: Units in a hidden layer.
         layers: Hidden layers.
     """

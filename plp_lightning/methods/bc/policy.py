@@ -1,4 +1,4 @@
-"""BC: one flat policy digests state, domain and task at once; nothing in it is shared on purpose or aligned."""
+"""BC: one flat policy, in which nothing is shared on purpose or aligned."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class BCPolicy(Policy):
         image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:
-        ConfigError: If a size is wrong, or the domains' images differ in shape.
+        ConfigError: If the domains' images differ in shape.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from plp_lightning.losses import weighted_mean
 
 
 def translation_discriminator_loss(real: Tensor, made: Tensor, real_weight: Tensor, made_weight: Tensor) -> Tensor:
-    r"""The discriminator's least-squares loss: real samples shall be judged 1, translated ones 0.
+    r"""The discriminator's least-squares loss, a scalar: real samples shall be judged 1, translated ones 0.
 
     .. math:: L_D = \frac{1}{2} \left( \mathbb{E} (D(x) - 1)^2 + \mathbb{E} D(\Psi(y))^2 \right)
 
@@ -20,9 +20,6 @@ def translation_discriminator_loss(real: Tensor, made: Tensor, real_weight: Tens
         real_weight: ``(B,)``, at least 0; samples of weight 0 don't count.
         made_weight: ``(B',)``.
 
-    Returns:
-        Scalar.
-
     Example:
         >>> one = torch.ones(1)
         >>> translation_discriminator_loss(torch.tensor([0.5]), torch.tensor([0.5]), one, one)
@@ -32,7 +29,7 @@ def translation_discriminator_loss(real: Tensor, made: Tensor, real_weight: Tens
 
 
 def translation_generator_loss(made: Tensor, weight: Tensor) -> Tensor:
-    r"""The translator's least-squares loss: what it makes shall be judged 1.
+    r"""The translator's least-squares loss, a scalar: translated samples shall be judged 1.
 
     .. math:: L_G = \mathbb{E} (D(\Psi(y)) - 1)^2
 
@@ -44,9 +41,6 @@ def translation_generator_loss(made: Tensor, weight: Tensor) -> Tensor:
         made: Judgements ``(B,)`` of translated samples, by a discriminator whose parameters are held fixed.
         weight: ``(B,)``.
 
-    Returns:
-        Scalar.
-
     Example:
         >>> translation_generator_loss(torch.tensor([0.0, 1.0]), torch.ones(2))
         tensor(0.5000)
@@ -55,7 +49,7 @@ def translation_generator_loss(made: Tensor, weight: Tensor) -> Tensor:
 
 
 def cycle(original: Tensor, returned: Tensor) -> Tensor:
-    r"""Absolute difference of originals and what they return as, mean over numbers and samples.
+    r"""Absolute difference of originals and their returns, a scalar, the mean over numbers and samples.
 
     .. math:: L_{cyc} = \mathbb{E}_x \| \Psi(\Phi(x)) - x \|_1 / O
 
@@ -67,9 +61,6 @@ def cycle(original: Tensor, returned: Tensor) -> Tensor:
         original: ``(..., O)``.
         returned: Same shape.
 
-    Returns:
-        Scalar.
-
     Example:
         >>> cycle(torch.tensor([[1.0, 2.0]]), torch.tensor([[1.0, 0.0]]))
         tensor(1.)
@@ -79,7 +70,7 @@ def cycle(original: Tensor, returned: Tensor) -> Tensor:
 
 
 def position_gap(here: Tensor, abroad: Tensor, weight: Tensor) -> Tensor:
-    r"""Squared difference of the temporal positions of a state and of its translation.
+    r"""Squared difference of the temporal positions of a state and of its translation, a scalar.
 
     .. math:: L_{pos} = \mathbb{E}_{(s,k)} \left( P_y(\Phi(s), k) - P_x(s, k) \right)^2
 
@@ -90,9 +81,6 @@ def position_gap(here: Tensor, abroad: Tensor, weight: Tensor) -> Tensor:
         here: Positions ``(B,)`` of states in their own domain, in [0, 1].
         abroad: Positions ``(B,)`` of their translations.
         weight: ``(B,)``; 0 where the task has no position model in the other domain.
-
-    Returns:
-        Scalar.
 
     Example:
         >>> position_gap(torch.tensor([0.0, 0.5]), torch.tensor([1.0, 0.5]), torch.ones(2))

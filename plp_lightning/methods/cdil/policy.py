@@ -32,12 +32,7 @@ class Translation(NamedTuple):
 class Translator(nn.Module):
     """Φ: x → y and Ψ: y → x, each an encoder of the domain that is left and a decoder of the one that is entered.
 
-    Args:
-        sizes: O of either domain.
-        latent: Z, size of the shared latent space.
-        hidden: Units in a hidden layer.
-        encoder_layers: Hidden layers of each encoder.
-        decoder_layers: Hidden layers of each decoder.
+    ``sizes`` are O of either domain, ``latent`` is Z, the size of the latent space that both share.
     """
 
     def __init__(
@@ -57,11 +52,7 @@ class Pace(nn.Module):
     """Usual change of each state column in a step, by which a step can be told from a standstill.
 
     Two states that follow each other differ by a hundredth of what two states of a trajectory differ by. A network
-    that gets both side by side sees the same state twice; what moved is put beside the first state in units of its
-    own.
-
-    Args:
-        sizes: O of either domain.
+    that gets both side by side sees the same state twice; changes are put beside the first state in units of their own.
     """
 
     source: Tensor
@@ -99,9 +90,6 @@ class CdilPolicy(TranslatingPolicy):
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders, the last one's become feature points;
             without any, the policy is blind: it leaves images aside.
-
-    Raises:
-        ConfigError: If there are not two domains, or a size is wrong.
     """
 
     def __init__(
@@ -121,9 +109,8 @@ class CdilPolicy(TranslatingPolicy):
         actions = {role: self.domains[domain].action_size for domain, role in self.roles.items()}
         tasks = len(problem.tasks)
         self.pace = Pace(sizes)
-        self.positions = nn.ModuleDict(
-            {role: TaskNetwork(size, tasks, 1, hidden, policy_layers) for role, size in sizes.items()}
-        )
+        positions = {role: TaskNetwork(size, tasks, 1, hidden, policy_layers) for role, size in sizes.items()}
+        self.positions = nn.ModuleDict(positions)
         self.translator = Translator(sizes, latent, hidden, encoder_layers, decoder_layers)
         self.inverse_dynamics = mlp(2 * sizes["target"], hidden, policy_layers, actions["target"])
         self.clones = nn.ModuleDict(

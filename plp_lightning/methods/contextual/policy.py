@@ -42,7 +42,7 @@ class ContextualPolicy(Policy):
         image_encoder: Sizes of either domain's image encoder; without channels the policy is blind.
 
     Raises:
-        ConfigError: If a size is wrong, or there are more than two domains.
+        ConfigError: If ``heads`` does not divide ``hidden``, or there are more than two domains.
     """
 
     def __init__(

@@ -37,16 +37,13 @@ def normalised_prediction_error(prediction: Tensor, state: Tensor, following: Te
 
 
 def transition_discriminator_loss(real: Tensor, fake: Tensor) -> Tensor:
-    r"""The discriminator's loss: binary cross-entropy of real transitions as 1 and translated ones as 0.
+    r"""The discriminator's loss, a scalar: binary cross-entropy of real transitions as 1 and translated ones as 0.
 
     .. math:: \mathbb{E}_{real}[-\log D] + \mathbb{E}_{fake}[-\log(1 - D)]
 
     Args:
         real: Logits ``(B_x,)`` of source transitions.
         fake: Logits ``(B_y,)`` of translated ones, from inputs without a gradient.
-
-    Returns:
-        Scalar.
 
     Example:
         >>> transition_discriminator_loss(torch.zeros(3), torch.zeros(3))  # 2 log 2: it can't tell
@@ -56,13 +53,10 @@ def transition_discriminator_loss(real: Tensor, fake: Tensor) -> Tensor:
 
 
 def transition_generator_loss(fake: Tensor) -> Tensor:
-    r"""The translators' loss: :math:`\mathbb{E}_{fake}[-\log D]`, small if translated transitions pass for real ones.
+    r"""The translators' loss, a scalar: :math:`\mathbb{E}_{fake}[-\log D]`, small if translations pass for real ones.
 
     Args:
         fake: Logits ``(B_y,)`` of translated transitions, by a discriminator whose parameters are held fixed.
-
-    Returns:
-        Scalar.
 
     Example:
         >>> transition_generator_loss(torch.tensor([9.0, 9.0]))

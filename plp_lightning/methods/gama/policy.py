@@ -18,14 +18,7 @@ from plp_lightning.networks import ActionDecoder, StateEncoder, mlp
 
 
 class TargetDynamics(nn.Module):
-    """P(s_y, a_y) → s'_y: the change of a step is learnt, the rest stays.
-
-    Args:
-        states: S, size of a state.
-        actions: A, size of an action.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
-    """
+    """P(s_y, a_y) → s'_y, of states of size S and actions of size A: the change of a step is learnt, the rest stays."""
 
     def __init__(self, states: int, actions: int, hidden: int, layers: int) -> None:
         super().__init__()
@@ -52,9 +45,6 @@ class GamaPolicy(TranslatingPolicy):
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders, the last one's become feature points;
             without any, the policy is blind: it leaves images aside.
-
-    Raises:
-        ConfigError: If there are not two domains, or a size is wrong.
     """
 
     def __init__(

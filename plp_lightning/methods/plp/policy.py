@@ -69,7 +69,7 @@ class PortablePolicy(AligningPolicy):
         image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:
-        ConfigError: If a size is wrong, or the domains' images differ in shape.
+        ConfigError: If a setting names a key that no domain has, or the domains' images differ in shape.
     """
 
     def __init__(

@@ -124,14 +124,7 @@ class TCC(AlignmentTerm):
 
 
 class DomainDiscriminator(nn.Module):
-    """Tells from a latent state which domain it came from (paper, ablation "-disc": four hidden layers).
-
-    Args:
-        latent: Z, size of latent states.
-        domains: D, number of domains.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
-    """
+    """Tells from a latent state of ``latent`` numbers, Z, which of D ``domains`` it came from."""
 
     def __init__(self, latent: int, domains: int, hidden: int, layers: int) -> None:
         super().__init__()

@@ -26,7 +26,7 @@ Reduction = Literal["mean", "sum"]
 
 
 def one_step(prediction: Mapping[str, Tensor], outcome: Mapping[str, Tensor], reduction: Reduction = "mean") -> Tensor:
-    r"""Squared distance to the known outcome of a step, mean over the steps of all domains.
+    r"""Squared distance to the known outcome of a step, a scalar, the mean over the steps of all domains.
 
     .. math::
         L_{next} &= \mathbb{E} \| \pi_z(\phi_d(s), k) - \mathrm{sg}[\phi_d(s')] \|^2 \\
@@ -40,9 +40,6 @@ def one_step(prediction: Mapping[str, Tensor], outcome: Mapping[str, Tensor], re
         prediction: By domain, ``(B_d, N_d)``.
         outcome: By domain, ``(B_d, N_d)``.
         reduction: Over the N_d numbers: their ``mean``, or their ``sum`` (as printed).
-
-    Returns:
-        Scalar.
 
     Example:
         >>> one_step({"ant": torch.zeros(1, 2)}, {"ant": torch.tensor([[2.0, 0.0]])})

@@ -1,4 +1,4 @@
-"""Domain domain_discriminator_loss on latents: the adversarial alternative to the maximum mean discrepancy."""
+"""A discriminator of domains on latents: the adversarial alternative to the maximum mean discrepancy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from plp_lightning.losses import r1_penalty
 
 
 def domain_discriminator_loss(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
-    """The discriminator's loss: cross-entropy of telling which domain a latent is from.
+    """The discriminator's loss, a scalar: cross-entropy of a latent's domain, mean over all domains' samples.
 
     The latents are detached: no gradient reaches the encoder. For two domains this is the binary cross-entropy
     of "Generative Adversarial Networks" (https://arxiv.org/abs/1406.2661), Eq. 1.
@@ -20,9 +20,6 @@ def domain_discriminator_loss(discriminator: Callable[[Tensor], Tensor], latents
     Args:
         discriminator: ``(B, Z)`` → logits ``(B, D)`` for D domains, two or more.
         latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
-
-    Returns:
-        Scalar, mean over the samples of all domains.
 
     Example:
         >>> alike = [torch.zeros(3, 2), torch.zeros(5, 2)]
@@ -34,7 +31,7 @@ def domain_discriminator_loss(discriminator: Callable[[Tensor], Tensor], latents
 
 
 def domain_generator_loss(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
-    """The encoder's loss: cross-entropy with flipped labels, small if latents pass for another domain's.
+    """The encoder's loss, a scalar: cross-entropy with flipped labels, small if latents pass for another domain's.
 
     It doesn't saturate: the better the discriminator, the larger the gradient. With more than two domains the
     flipped label is any of the others, each as good. See "Generative Adversarial Networks"
@@ -44,9 +41,6 @@ def domain_generator_loss(discriminator: Callable[[Tensor], Tensor], latents: Se
         discriminator: As in :func:`domain_discriminator_loss`, its parameters held fixed: a gradient that reached them
             would teach it to be fooled.
         latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
-
-    Returns:
-        Scalar, mean over the samples of all domains.
 
     Example:
         >>> told_apart = [torch.tensor([[9.0, 0.0]]), torch.tensor([[0.0, 9.0]])]

@@ -1,4 +1,4 @@
-"""Maximum mean discrepancy: how far apart the domains lie in the latent space."""
+"""Maximum mean discrepancy: distance of the domains in the latent space."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def mmd(latents: Sequence[Tensor], scale_gradient: bool = True, bandwidths: Sequ
 
 
 def pair_weights(sizes: Sequence[int], like: Tensor) -> Tensor:
-    """What each pair of pooled rows contributes to the mean over pairs of domains.
+    """Weight of each pair of pooled rows in the mean over pairs of domains.
 
     Args:
         sizes: Rows of each of the D domains, N in total.
@@ -99,9 +99,9 @@ class _KernelSum(torch.autograd.Function):
             narrowed = torch.exp(ratio * -(width**-2)).mul_(weights)
             total += narrowed.sum()
             kernel.add_(narrowed, alpha=width**-2)
-        slope = (
-            torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs if scale_gradient else torch.zeros_like(scale)
-        )
+        slope = torch.zeros_like(scale)
+        if scale_gradient:
+            slope = torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs
         ctx.save_for_backward(points, kernel, inverse, scale, slope)
         return total
 
