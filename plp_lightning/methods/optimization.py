@@ -54,9 +54,6 @@ class CosineDecay(CosineAnnealingLR, PhaseSchedule):
     """Lowers the rate to 0 along half a cosine over all steps of the phase.
 
     See "SGDR: Stochastic Gradient Descent with Warm Restarts" (https://arxiv.org/abs/1608.03983), Eq. 5.
-
-    Args:
-        optimizer: The optimizer.
     """
 
     interval = "step"
@@ -93,12 +90,7 @@ class LinearDecay(LambdaLR, PhaseSchedule):
 
 
 def slowed(epoch: int, epochs: int, share: float) -> float:
-    """Factor of the learning rate in an epoch: 1 at first, then falling in a line that meets 0 after the last epoch.
-
-    Args:
-        epoch: From 0 on.
-        epochs: How many there are.
-        share: Part of them that the fall takes.
+    """Factor of the learning rate in an epoch, from 0 on: 1, but falling in a line to 0 over the last ``share``.
 
     Example:
         >>> [slowed(epoch, 4, 0.5) for epoch in range(4)]

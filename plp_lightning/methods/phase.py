@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import torch
@@ -64,13 +64,9 @@ class Phase(Configured, LightningModule, Generic[P]):
         """Parts whose parameters and buffers must not change in this phase, by name."""
         return {}
 
-    def trained_parameters(self) -> Iterable[nn.Parameter]:
-        """Gives the parameters that the optimizer may change."""
-        return (parameter for parameter in self.parameters() if parameter.requires_grad)
-
     def parameter_groups(self) -> list[Any]:
-        """Gives the optimizer's input: the trained parameters, or groups of them with rates of their own."""
-        return list(self.trained_parameters())
+        """Gives the parameters that the optimizer may change, or groups of them with rates of their own."""
+        return [parameter for parameter in self.parameters() if parameter.requires_grad]
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         optimizer = self.optimizer(self.parameter_groups())
@@ -127,21 +123,12 @@ class Phase(Configured, LightningModule, Generic[P]):
 
 
 class CachedStates(Phase[P]):
-    """A phase during which states do not change: each is computed once and looked up by row from then on.
+    """A phase during which states do not change: each is computed once and looked up by row from then on."""
 
-    Args:
-        policy: The policy to train.
-        epochs: Passes over the phase's data.
-        optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
-    """
-
-    def __init__(
-        self, policy: P, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None
-    ) -> None:
-        super().__init__(policy, epochs, optimizer, lr_scheduler)
-        self.states: dict[str, Tensor] = {}
-        self.next_row: dict[str, Tensor] = {}
+    states: dict[str, Tensor]
+    """State ``(N, S_d)`` of every observation, by domain."""
+    next_row: dict[str, Tensor]
+    """Row ``(N,)`` of the observation after each step, by domain."""
 
     @abstractmethod
     def state_of(self, domain: str, observation: Observation[Tensor]) -> Tensor:
@@ -151,7 +138,7 @@ class CachedStates(Phase[P]):
         self._cache_all()
 
     def on_validation_start(self) -> None:
-        if not self.states:  # without training before
+        if not hasattr(self, "states"):  # without training before
             self._cache_all()
 
     def before_and_after(self, domain: str, rows: Tensor) -> tuple[Tensor, Tensor]:
@@ -164,6 +151,7 @@ class CachedStates(Phase[P]):
 
     @torch.no_grad()
     def _cache_all(self) -> None:
+        self.states, self.next_row = {}, {}
         for domain, dataset in self.trainer.datamodule.datasets.items():  # type: ignore[attr-defined]
             chunks = torch.arange(self._rows_to_cache(dataset)).split(dataset.rows_at_a_time(ROWS_AT_A_TIME))
             seen = (dataset.observation.take(rows).map(lambda x: x.to(self.device)) for rows in chunks)

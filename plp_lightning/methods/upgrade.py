@@ -24,9 +24,9 @@ def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:
     prefixes = dict(PREFIXES)
     if any(name.startswith(("discriminator.unit", "discriminators.")) for name in checkpoint["state_dict"]):
         prefixes.pop("discriminator.")
-    moved = {name: _moved(name, prefixes) for name in checkpoint["state_dict"]}
-    checkpoint["state_dict"] = {moved[name]: value for name, value in checkpoint["state_dict"].items()}
-    if any("eyes" in name for name in moved):
+    names = [*checkpoint["state_dict"]]
+    checkpoint["state_dict"] = {_moved(name, prefixes): value for name, value in checkpoint["state_dict"].items()}
+    if any("eyes" in name for name in names):
         # Hashes of frozen parts go over names too; they are taken anew.
         checkpoint.get("callbacks", {}).pop("FreezeGuard", None)
     if not checkpoint.get("lr_schedulers"):

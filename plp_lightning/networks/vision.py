@@ -42,15 +42,11 @@ class ImageEncoding(Configured):
 
 
 class ImageEncoder(nn.Module):
-    """Strided CoordConv network: an image and where its pixels are → a vector.
+    """Strided CoordConv network: an image and the places of its pixels → a vector.
 
     The coordinates come in at the input alone: "An Intriguing Failing of Convolutional Neural Networks and the
-    CoordConv Solution" (https://arxiv.org/abs/1807.03247), without its radius channel.
-
-    Args:
-        shape: Height, width and colours of an image.
-        channels: Of each convolution; each halves the image's sides.
-        features: F, length of the vector.
+    CoordConv Solution" (https://arxiv.org/abs/1807.03247), without its radius channel. Arguments are those of
+    :class:`ImageEncoding`, for images of ``shape (H, W, C)``.
     """
 
     coordinates: Tensor
@@ -84,13 +80,9 @@ class ImageEncoder(nn.Module):
 
 
 class ImageDecoder(nn.Module):
-    """The encoder's mirror image: latent state and domain → what the domain's camera saw.
+    """The encoder's mirror image: Z ``latent`` numbers and one of D ``domains`` → image ``(H, W, C)`` of its camera.
 
-    Args:
-        latent: Z, size of latent states.
-        domains: D, number of domains.
-        shape: Height, width and colours of an image.
-        channels: Of the encoder's convolutions, in the encoder's order.
+    ``channels`` are those of the encoder's convolutions, in the encoder's order.
     """
 
     def __init__(self, latent: int, domains: int, shape: Sequence[int], channels: Sequence[int]) -> None:
@@ -134,9 +126,9 @@ def downsampled_sizes(sides: tuple[int, int], count: int) -> list[tuple[int, int
 
 
 def initialise(network: nn.Module) -> None:
-    """Weights that keep the size of activations from layer to layer, biases of zero (torch's own let it shrink).
+    """Sets weights that keep the size of activations from layer to layer, and biases of zero.
 
-    See "Delving Deep into Rectifiers" (https://arxiv.org/abs/1502.01852), Eq. 10.
+    Torch's own let it shrink. See "Delving Deep into Rectifiers" (https://arxiv.org/abs/1502.01852), Eq. 10.
     """
     for module in network.modules():
         if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):

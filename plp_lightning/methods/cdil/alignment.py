@@ -25,8 +25,8 @@ from plp_lightning.methods.translation import CachedFeatures
 from plp_lightning.networks import TaskNetwork, with_frozen_parameters
 
 
-class StatePairs(NamedTuple):
-    """Steps of one domain as pairs of states, the form in which they are translated."""
+class RoundTrip(NamedTuple):
+    """Steps of one domain as pairs of states, translated into the other domain, and the first of each pair back."""
 
     states: Tensor
     """States and those after them, ``(2, B, O)``."""
@@ -34,19 +34,14 @@ class StatePairs(NamedTuple):
     """``(B,)``."""
     shared: Tensor
     """``(B,)``: 1 where both domains have demonstrations of the task, 0 else."""
-
-
-class RoundTrip(NamedTuple):
-    """States that were translated into the other domain, and the first of each two back."""
-
     latent: Tensor
-    """Of the first states, ``(B, Z)``."""
+    """Latent states of the first, ``(B, Z)``."""
     abroad: Tensor
-    """In the other domain, ``(2, B, O')``."""
+    """States in the other domain, ``(2, B, O')``."""
     latent_abroad: Tensor
-    """Of the first of those, ``(B, Z)``."""
+    """Latent states of the first of those, ``(B, Z)``."""
     home: Tensor
-    """Back again, ``(B, O)``."""
+    """First states, back again, ``(B, O)``."""
 
 
 @dataclass(frozen=True)
@@ -134,49 +129,43 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         self.shared.copy_(torch.tensor([float(task in proxy_tasks) for task in self.policy.tasks]))
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        steps, trips = self._travel(batch)
-        return self._total(self._consistency(steps, trips)) | self._total(self._contest(steps, trips))
+        trips = self._travel(batch)
+        return self._total(self._consistency(trips)) | self._total(self._contest(trips))
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
         # Only terms that can be compared between epochs, since no discriminator has a say in them.
-        return self._total(self._consistency(*self._travel(batch)))
+        return self._total(self._consistency(self._travel(batch)))
 
-    def _travel(self, batch: Batch) -> tuple[dict[Role, StatePairs], dict[Role, RoundTrip]]:
-        steps = {}
+    def _travel(self, batch: Batch) -> dict[Role, RoundTrip]:
+        trips = {}
         for domain, found in batch.steps.items():
+            role, shared = self.policy.roles[domain], self.shared[found.task]
             states = torch.stack(self.before_and_after(domain, found.row))
-            steps[self.policy.roles[domain]] = StatePairs(states, found.task, self.shared[found.task])
-        return steps, {role: self._round_trip(pairs.states, role) for role, pairs in steps.items()}
-
-    def _round_trip(self, states: Tensor, role: Role) -> RoundTrip:
-        there = self.policy.translator(states, role)
-        back = self.policy.translator(there.state[0], OTHER[role])
-        return RoundTrip(there.latent[0], there.state, back.latent, back.state)
+            there = self.policy.translator(states, role)
+            back = self.policy.translator(there.state[0], OTHER[role])
+            trips[role] = RoundTrip(states, found.task, shared, there.latent[0], there.state, back.latent, back.state)
+        return trips
 
     def _total(self, directions: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
         both = [*directions]
         return {name: self.weights[name] * torch.stack([terms[name] for terms in both]).sum() for name in both[0]}
 
-    def _consistency(
-        self, steps: Mapping[Role, StatePairs], trips: Mapping[Role, RoundTrip]
-    ) -> Iterator[dict[str, Tensor]]:
+    def _consistency(self, trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
         """Terms that hold for each domain by itself."""
-        for role, trip in trips.items():
-            (state, _), task, shared = steps[role]
-            here = self.policy.position(state, task, role).detach()
+        for role, own in trips.items():
+            here = self.policy.position(own.states[0], own.task, role).detach()
+            there = self.policy.position(own.abroad[0], own.task, OTHER[role])
             yield {
-                "cycle": cycle(state, trip.home),
-                "latent": cycle(trip.latent, trip.latent_abroad),
-                "position": position_gap(here, self.policy.position(trip.abroad[0], task, OTHER[role]), shared),
+                "cycle": cycle(own.states[0], own.home),
+                "latent": cycle(own.latent, own.latent_abroad),
+                "position": position_gap(here, there, own.shared),
             }
 
-    def _contest(
-        self, steps: Mapping[Role, StatePairs], trips: Mapping[Role, RoundTrip]
-    ) -> Iterator[dict[str, Tensor]]:
+    def _contest(self, trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
         """Losses of the translator and of the discriminators, in each domain that is translated into."""
-        for role, trip in trips.items():
-            own, real = steps[role], steps[OTHER[role]]
-            judge, made = self.discriminators[OTHER[role]], self.policy.pace(*trip.abroad, OTHER[role])
+        for role, own in trips.items():
+            real, judge = trips[OTHER[role]], self.discriminators[OTHER[role]]
+            made = self.policy.pace(*own.abroad, OTHER[role])
             found = self._blur(self.policy.pace(*real.states, OTHER[role])).requires_grad_()
             real_judged = judge(found, real.task)[:, 0]
             made_judged = judge(self._blur(made.detach()), own.task)[:, 0]

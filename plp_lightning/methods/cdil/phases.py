@@ -11,7 +11,7 @@ from torch.nn import functional
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import weighted_mean
-from plp_lightning.methods.cdil.policy import CdilPolicy, Role
+from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count
 from plp_lightning.methods.translation import CachedFeatures, PointReconstruction
@@ -189,29 +189,20 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         return Imagined(now, policy.infer(now, following), wanted.float().to(self.device))
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        found = {}
-        steps = {self.policy.roles[domain]: s for domain, s in batch.steps.items()}
         assert self.imagined is not None, "the source's trajectories are translated before the first batch"
-        if "source" in steps:
-            state = self.states[self.policy.source][steps["source"].row]
-            clone = self.policy.clone(state, steps["source"].task, "source")
-            found["bc_source"] = functional.mse_loss(clone, steps["source"].action)
-        state, action, task, weight = self._lessons(steps, self.imagined)
+        lessons, found = [], {}
+        if self.policy.source in batch.steps:
+            own, seen = batch.steps[self.policy.source], self.imagined
+            clone = self.policy.clone(self.states[self.policy.source][own.row], own.task, "source")
+            found["bc_source"] = functional.mse_loss(clone, own.action)
+            lessons.append((seen.state[own.row], seen.action[own.row], own.task, seen.weight[own.row]))
+        if self.policy.target in batch.steps:
+            own = batch.steps[self.policy.target]
+            state = self.states[self.policy.target][own.row]
+            lessons.append((state, own.action, own.task, torch.ones_like(state[:, 0])))
+        state, action, task, weight = (torch.cat(column) for column in zip(*lessons, strict=True))
         error = (self.policy.clone(state, task, "target") - action).square().mean(-1)
         return {"bc_target": weighted_mean(error, weight), **found}
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
         return {"bc_target": self.losses(batch)["bc_target"]}
-
-    def _lessons(self, steps: dict[Role, Steps], imagined: Imagined) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """States, actions, tasks and weights of the steps that the target's clone learns from in this batch."""
-        parts = []
-        if "source" in steps:
-            row = steps["source"].row
-            parts.append((imagined.state[row], imagined.action[row], steps["source"].task, imagined.weight[row]))
-        if "target" in steps:
-            own = steps["target"]
-            state = self.states[self.policy.target][own.row]
-            parts.append((state, own.action, own.task, torch.ones_like(state[:, 0])))
-        state, action, task, weight = (torch.cat(column) for column in zip(*parts, strict=True))
-        return state, action, task, weight

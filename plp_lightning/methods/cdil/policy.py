@@ -109,8 +109,9 @@ class CdilPolicy(TranslatingPolicy):
         actions = {role: self.domains[domain].action_size for domain, role in self.roles.items()}
         tasks = len(problem.tasks)
         self.pace = Pace(sizes)
-        positions = {role: TaskNetwork(size, tasks, 1, hidden, policy_layers) for role, size in sizes.items()}
-        self.positions = nn.ModuleDict(positions)
+        self.positions = nn.ModuleDict(
+            {role: TaskNetwork(size, tasks, 1, hidden, policy_layers) for role, size in sizes.items()}
+        )
         self.translator = Translator(sizes, latent, hidden, encoder_layers, decoder_layers)
         self.inverse_dynamics = mlp(2 * sizes["target"], hidden, policy_layers, actions["target"])
         self.clones = nn.ModuleDict(

@@ -20,12 +20,7 @@ FIRST_ROOM = 64
 
 
 class Attention(nn.Module):
-    """Multi-head scaled dot-product attention (Section 3.2 of the paper above).
-
-    Args:
-        width: W, units; a multiple of ``heads``.
-        heads: H.
-    """
+    """Multi-head scaled dot-product attention (Section 3.2 of the paper above), H ``heads`` of W / H units each."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -125,14 +120,7 @@ def _feed_forward(width: int, hidden: int) -> nn.Sequential:
 
 
 class EncoderLayer(nn.Module):
-    """Self-attention over whole sequences, then a feed-forward network.
-
-    Args:
-        width: W, units of a frame.
-        heads: Attention heads.
-        hidden: Units of the feed-forward network.
-        dropout: Share of the units of each sublayer that training leaves out.
-    """
+    """Self-attention over whole sequences, then a feed-forward network."""
 
     def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
         super().__init__()
@@ -176,11 +164,11 @@ class DecoderLayer(nn.Module):
 
 
 class TransformerEncoder(nn.Module):
-    """Reads whole sequences.
+    """Reads whole sequences; the decoder and the layers of both have the same arguments.
 
     Args:
-        width: W, units of a frame.
-        heads: Attention heads of each layer.
+        width: W, units of a frame; a multiple of ``heads``.
+        heads: H, attention heads of each layer.
         layers: Number of layers.
         hidden: Units of each feed-forward network.
         dropout: Share of the units of each sublayer that training leaves out.
@@ -200,13 +188,12 @@ class TransformerEncoder(nn.Module):
 
 
 class TransformerDecoder(nn.Module):
-    """Goes through sequences that look back at themselves, and at others shown to them; built as the encoder."""
+    """Goes through sequences that look back at themselves, and at others shown to them."""
 
     def __init__(self, width: int, heads: int, layers: int, hidden: int, dropout: float) -> None:
         super().__init__()
         stack = nn.ModuleList(DecoderLayer(width, heads, hidden, dropout) for _ in range(layers))
-        # torch's own type of a list of modules does not say which.
-        self.layers = cast("Sequence[DecoderLayer]", stack)
+        self.layers = cast("Sequence[DecoderLayer]", stack)  # torch's own type does not say which modules
         self.norm = nn.LayerNorm(width)
 
     def forward(self, x: Tensor, packing: Packing, shown: Tensor, shown_packing: Packing) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -238,11 +238,11 @@ class GamaAdaptation(GamaPhase):
     def frozen(self) -> dict[str, nn.Module]:
         return {name: part for name, part in self.policy.named_children() if name != "source_policy"}
 
-    def trained_parameters(self) -> Iterable[nn.Parameter]:
-        return self.policy.source_policy.parameters()
+    def parameter_groups(self) -> list[Any]:
+        return [*self.policy.source_policy.parameters()]
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         steps = {domain: s for domain, s in batch.steps.items() if domain in self.learns_from}
         if not steps:  # by chance, the last batch of an epoch may hold nothing else
-            return torch.stack([parameter.sum() for parameter in self.trained_parameters()]).sum() * 0
+            return torch.stack([parameter.sum() for parameter in self.parameter_groups()]).sum() * 0
         return super().training_step(batch._replace(steps=steps), batch_idx)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 from torch import Tensor, nn
 
@@ -45,8 +46,8 @@ class Adaptation(CachedStates[PortablePolicy]):
         images = {} if policy.image_encoder is None else {"image_encoder": policy.image_encoder}
         return {"scaler": policy.scaler, "encoder": policy.encoder, "decoder": policy.decoder, **images}
 
-    def trained_parameters(self) -> Iterable[nn.Parameter]:
-        return self.policy.common.parameters()
+    def parameter_groups(self) -> list[Any]:
+        return [*self.policy.common.parameters()]
 
     def state_of(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         return self.policy.encode({domain: observation})[domain]

@@ -38,8 +38,7 @@ def domain_generator_loss(discriminator: Callable[[Tensor], Tensor], latents: Se
     (https://arxiv.org/abs/1406.2661), section 3.
 
     Args:
-        discriminator: As in :func:`domain_discriminator_loss`, its parameters held fixed: a gradient that reached them
-            would teach it to be fooled.
+        discriminator: ``(B, Z)`` → ``(B, D)``, its parameters held fixed: a gradient would teach it to be fooled.
         latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
 
     Example:
@@ -52,18 +51,15 @@ def domain_generator_loss(discriminator: Callable[[Tensor], Tensor], latents: Se
 
 
 def domain_r1_penalty(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
-    """The discriminator's penalty: half the squared slope of the log-odds it gives a latent's own domain.
+    """The discriminator's penalty, a scalar: half the squared slope of the log-odds it gives a latent's own domain.
 
     Where the domains overlap, the discriminator could go on telling single latents apart by ever steeper logits, and
     the encoder would be led by these instead of by where the domains lie. See :func:`r1_penalty`, to which
-    the latents of every domain are real ones here.
+    the latents of every domain are real ones here. The gradient reaches the discriminator alone.
 
     Args:
-        discriminator: As in :func:`domain_discriminator_loss`.
-        latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits; detached here.
-
-    Returns:
-        Scalar, mean over the samples of all domains, whose gradient reaches the discriminator.
+        discriminator: ``(B, Z)`` → ``(B, D)``.
+        latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
 
     Example:
         >>> latents = [torch.zeros(4, 1), torch.ones(2, 1)]

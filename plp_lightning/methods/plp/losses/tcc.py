@@ -77,17 +77,9 @@ def _cycle(similarity: Tensor, product: Tensor, norm: Tensor, mask: Tensor, othe
     """Cross-entropy of coming back to the own frame, summed over the valid frames.
 
     The second softmax needs no soft neighbour in the latent space: ``-|ṽ - u|²`` is ``2 ṽu - |u|²`` plus a
-    number that is the same for all u, and ``ṽu`` is a weighted mean of products that are known already.
-
-    Args:
-        similarity: Logits of the soft nearest neighbour, ``(P, T, T')``.
-        product: Inner products of the latents, ``(P, T, T')``.
-        norm: ``|u|²``, ``(P, T)``.
-        mask: Valid frames of the trajectory that is left and returned to, ``(P, T)``.
-        other_mask: Valid frames of the other one, ``(P, T')``.
-
-    Returns:
-        ``(P,)``.
+    number that is the same for all u, and ``ṽu`` is a weighted mean of products that are known already. Takes the
+    logits of the soft nearest neighbour and inner products ``(P, T, T')``, ``|u|²`` and the valid frames ``(P, T)`` of
+    the trajectory that is left and returned to, and those ``(P, T')`` of the other; gives ``(P,)``.
     """
     never = torch.finfo(similarity.dtype).min
     weights = similarity.masked_fill(~other_mask[:, None], never).softmax(-1)  # (P, T, T')
