@@ -13,15 +13,13 @@ def r1_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
 
     A discriminator that is as good as certain teaches nothing, or leads away from what is real. With this penalty the
     game of discriminator and generator has a point where both come to rest. See "Which Training Methods for GANs do
-    actually Converge?" (https://arxiv.org/abs/1801.04406), Eq. 9, without its factor γ.
+    actually Converge?" (https://arxiv.org/abs/1801.04406), Eq. 9, without its factor γ. The gradient of the scalar
+    reaches the discriminator; it is 0 if all weights are 0.
 
     Args:
         judged: ``(B,)``, the discriminator's verdicts, each from its own row alone.
         real: ``(B, N)``, the samples, which require a gradient.
         weight: ``(B,)``, bool or at least 0.
-
-    Returns:
-        Scalar, whose gradient reaches the discriminator; 0 if all weights are 0.
 
     Example:
         >>> real = torch.ones(2, 3, requires_grad=True)

@@ -105,8 +105,7 @@ class Phase(Configured, LightningModule, Generic[P]):
     @property
     def logs_now(self) -> bool:
         """True in training steps that loggers write down; in all others nothing is gathered for them."""
-        every: int = self.trainer.log_every_n_steps  # type: ignore[attr-defined]
-        return (self.trainer.global_step + 1) % every == 0
+        return (self.trainer.global_step + 1) % int(self.trainer.log_every_n_steps) == 0  # type: ignore[attr-defined]
 
     def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
         """Logs the scalar losses of a training step as ``train/<name>``, if loggers write it down."""

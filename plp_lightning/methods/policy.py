@@ -1,4 +1,4 @@
-"""POLICY: what every method's policy has in common, so that data, evaluation and runs need not know the method."""
+"""POLICY: the base of every method's policy, so that data, evaluation and runs need not know the method."""
 
 from __future__ import annotations
 
@@ -70,14 +70,10 @@ class Policy(Configured, nn.Module, ABC):
         _check_known("domain", [domain], self.acts_in)
         _check_known("task", names, self.tasks)
         ids = torch.tensor([self.tasks[name] for name in names], device=device)
-        actions: np.ndarray = self.predict_actions(seen, {domain: ids})[domain].cpu().numpy()
-        return actions
+        return np.asarray(self.predict_actions(seen, {domain: ids})[domain].cpu())
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
-        """Gives a function that acts in episodes of ``tasks`` which begin now: observations ``(n, O)`` → ``(n, A)``.
-
-        A policy with a memory starts one for each episode.
-        """
+        """Gives a function that acts in new episodes of ``tasks``, maybe with a memory: ``(n, O)`` → ``(n, A)``."""
 
         def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
             return self.act(observation, domain, [tasks[i] for i in running])

@@ -81,9 +81,6 @@ class Perception(nn.Module):
         problem: Domains, and statistics of their raw states.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
-
-    Raises:
-        ConfigError: If ``scaling`` names a key that no domain has.
     """
 
     def __init__(self, problem: TransferProblem, scaling: Mapping[str, Scaling], image_channels: Sequence[int]) -> None:
@@ -123,12 +120,9 @@ class PointReconstruction(nn.Module):
 
     def losses(self, state: Mapping[str, Tensor], steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """``reconstruction``, of states ``(B_d, S_d)`` of steps with images; nothing where there is no camera."""
-        drawn, images = {}, {}
-        for domain in (name for name in self.first_point if name in steps):
-            image = steps[domain].observation.image
-            assert image is not None, f"no image, but domain {domain!r} has a camera"
-            drawn[domain] = self.decoders[domain](state[domain][:, self.first_point[domain] :])
-            images[domain] = image
+        seen = {domain: steps[domain].observation.image for domain in self.first_point if domain in steps}
+        images = {domain: image for domain, image in seen.items() if image is not None}
+        drawn = {domain: self.decoders[domain](state[domain][:, self.first_point[domain] :]) for domain in images}
         return {"reconstruction": reconstruction(drawn, images)} if drawn else {}
 
 

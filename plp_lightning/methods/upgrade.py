@@ -42,12 +42,7 @@ def _moved(name: str, prefixes: dict[str, str]) -> str:
 
 
 def upgrade_recipe(class_path: str, architecture: Mapping[str, Any]) -> dict[str, Any]:
-    """Recipe of a policy that an earlier version saved.
-
-    Args:
-        class_path: Its class, as it was called.
-        architecture: Its settings, as they were called.
-    """
+    """Recipe of a policy that an earlier version saved with this class and these settings."""
     short = class_path.rpartition(".")[2].replace("FlatPolicy", "BCPolicy")
     settings = {name: value for name, value in architecture.items() if name != "clip"}
     if "image_features" in settings:  # the others keep their image_channels

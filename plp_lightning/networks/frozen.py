@@ -21,9 +21,4 @@ def with_frozen_parameters(module: nn.Module) -> Callable[..., Tensor]:
         (True, False)
     """
     fixed = {name: parameter.detach() for name, parameter in module.named_parameters()}
-
-    def forward(*inputs: Tensor) -> Tensor:
-        output: Tensor = torch.func.functional_call(module, fixed, inputs)
-        return output
-
-    return forward
+    return lambda *inputs: torch.func.functional_call(module, fixed, inputs)

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from datamodules.errors import ConfigError
 from datamodules.settings import Configured, PositiveInt
 from datamodules.types import DomainSpec, Observation
-from plp_lightning.networks.columns import split_by_domain
+from plp_lightning.networks.domains import split_by_domain
 
 KERNEL, STRIDE, PADDING = 3, 2, 1
 UNTRAINED_BYTES = 64 * 2**20
@@ -141,7 +141,7 @@ def initialise(network: nn.Module) -> None:
 
 
 def _lay_out(network: nn.Module) -> None:
-    """Weights of convolutions in the memory layout in which images come."""
+    """Lays the weights of convolutions out in memory as images come."""
     for parameter in network.parameters():
         if parameter.ndim == 4:
             parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)

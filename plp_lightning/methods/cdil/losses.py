@@ -1,4 +1,9 @@
-"""Translation of states between two domains: adversarial, cycle and position consistency."""
+"""Translation of states between two domains: adversarial, cycle and position consistency.
+
+CycleGAN is "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
+(https://arxiv.org/abs/1703.10593), LSGAN "Least Squares Generative Adversarial Networks"
+(https://arxiv.org/abs/1611.04076).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +17,7 @@ def translation_discriminator_loss(real: Tensor, made: Tensor, real_weight: Tens
 
     .. math:: L_D = \frac{1}{2} \left( \mathbb{E} (D(x) - 1)^2 + \mathbb{E} D(\Psi(y))^2 \right)
 
-    See "Least Squares Generative Adversarial Networks" (https://arxiv.org/abs/1611.04076), Eq. 2 with a = 0, b = 1.
+    See LSGAN, Eq. 2 with a = 0, b = 1.
 
     Args:
         real: Judgements ``(B,)`` of samples of the domain itself.
@@ -33,9 +38,7 @@ def translation_generator_loss(made: Tensor, weight: Tensor) -> Tensor:
 
     .. math:: L_G = \mathbb{E} (D(\Psi(y)) - 1)^2
 
-    See "Least Squares Generative Adversarial Networks" (https://arxiv.org/abs/1611.04076), Eq. 2 with c = 1, and
-    "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
-    (https://arxiv.org/abs/1703.10593), Section 4, which leaves out the factor 1/2.
+    See LSGAN, Eq. 2 with c = 1, and CycleGAN, Section 4, which leaves out the factor 1/2.
 
     Args:
         made: Judgements ``(B,)`` of translated samples, by a discriminator whose parameters are held fixed.
@@ -53,13 +56,12 @@ def cycle(original: Tensor, returned: Tensor) -> Tensor:
 
     .. math:: L_{cyc} = \mathbb{E}_x \| \Psi(\Phi(x)) - x \|_1 / O
 
-    See "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
-    (https://arxiv.org/abs/1703.10593), Eq. 2; the mean over dimensions is that of its authors' code. The same
-    serves the latent cycle ``E_x(x)`` and ``E_y(Φ(x))``.
+    See CycleGAN, Eq. 2; the mean over dimensions is that of its authors' code. The same serves the latent cycle
+    ``E_x(x)`` and ``E_y(Φ(x))``.
 
     Args:
         original: ``(..., O)``.
-        returned: Same shape.
+        returned: ``(..., O)``.
 
     Example:
         >>> cycle(torch.tensor([[1.0, 2.0]]), torch.tensor([[1.0, 0.0]]))

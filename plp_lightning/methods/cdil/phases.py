@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datamodules.settings import PositiveInt
-from datamodules.types import Batch, BatchSpec, Steps
+from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import weighted_mean
 from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
@@ -103,13 +103,12 @@ class CdilPositions(CdilPhase):
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         steps = batch.steps
         states = {domain: self.policy.features(domain, found.observation) for domain, found in steps.items()}
-        errors = [self._errors(found, states[domain].detach(), domain) for domain, found in steps.items()]
+        errors = []
+        for domain, found in steps.items():
+            position = self.policy.position(states[domain].detach(), found.task, self.policy.roles[domain])
+            assert found.progress is not None, "batch_spec asks for it"
+            errors.append((position - found.progress).square())
         return {"position": torch.cat(errors).mean()} | self.redrawing.losses(states, steps)
-
-    def _errors(self, steps: Steps, state: Tensor, domain: str) -> Tensor:
-        position = self.policy.position(state, steps.task, self.policy.roles[domain])
-        assert steps.progress is not None, "batch_spec asks for it"
-        return (position - steps.progress).square()
 
 
 class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
@@ -160,6 +159,7 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
     batch_spec = BatchSpec("mix", images=False, next_observation=True)
     policy_acts = True
     parts_trained = ("clones",)
+    imagined: Imagined | None = None
 
     def __init__(
         self,
@@ -169,7 +169,6 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
-        self.imagined: Imagined | None = None
 
     def on_fit_start(self) -> None:
         super().on_fit_start()

@@ -88,8 +88,7 @@ class CdilPolicy(TranslatingPolicy):
         policy_layers: Hidden layers of position models, inverse dynamics and clones.
         decoder_layers: Hidden layers of the translation's decoders.
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        image_channels: Channels of each convolution of the image encoders, the last one's become feature points;
-            without any, the policy is blind: it leaves images aside.
+        image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
 
     def __init__(

@@ -57,7 +57,7 @@ def lay_out(mask: Tensor) -> Tensor:
 
 
 class FrameEmbedding(nn.Module):
-    """State, image and, if wished, action of a step, and which step it is → W units; positions are learned.
+    """State, image and, if wished, action of a step, and the step's number → W units; positions are learned.
 
     Args:
         spec: The domain.
@@ -90,8 +90,8 @@ class FrameEmbedding(nn.Module):
 
     def _encode_images(self, encoder: ImageEncoder, image: Tensor) -> Tensor:
         """Features ``(F, features)``; of many images the activations are computed again in the backward pass."""
-        if not torch.is_grad_enabled() or len(image) <= MOST_IMAGES:
-            features: Tensor = encoder(image)
-            return features
-        parts = [checkpoint(encoder, part, use_reentrant=False) for part in image.split(MOST_IMAGES)]
-        return torch.cat(parts)
+        if torch.is_grad_enabled() and len(image) > MOST_IMAGES:
+            parts = image.split(MOST_IMAGES)
+            return torch.cat([checkpoint(encoder, part, use_reentrant=False) for part in parts])
+        features: Tensor = encoder(image)
+        return features

@@ -135,8 +135,7 @@ class ContextualPolicy(Policy):
                 cache.take(torch.from_numpy(np.searchsorted(remembered, running)).to(device))
                 remembered = running
             seen = observation.map(lambda x: torch.as_tensor(x, device=device))
-            actions: np.ndarray = self.step(seen, cache).cpu().numpy()
-            return actions
+            return np.asarray(self.step(seen, cache).cpu())
 
         return act
 

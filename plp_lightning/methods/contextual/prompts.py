@@ -40,12 +40,7 @@ class Prompts(nn.Module):
         self.register_load_state_dict_pre_hook(_make_room)  # type: ignore[no-untyped-call]
 
     def choose(self, dataset: DomainDataset, episodes: Mapping[int, int]) -> None:
-        """Takes demonstrations from the source domain's steps ``(N, O)``.
-
-        Args:
-            dataset: The steps.
-            episodes: Index of the trajectory, by task index; tasks that are left out have none to show.
-        """
+        """Takes a trajectory ``(T, O)`` of the source domain by task index; tasks left out have none to show."""
         order, device = sorted(episodes), self.offset.device
         chosen = np.array([episodes[task] for task in order])
         rows = torch.from_numpy(dataset.rows_of(chosen))

@@ -30,14 +30,10 @@ class Attention(nn.Module):
         self.output = nn.Linear(width, width)
 
     def forward(self, x: Tensor, packing: Packing, memory: Tensor, mask: Tensor | None) -> Tensor:
-        """Looks frames ``(F, W)`` up in a memory of :meth:`remember`, as ``(F, W)``.
+        """Looks frames ``(F, W)`` of P sequences up in their memory ``(2, P, H, S, W / H)``, as ``(F, W)``.
 
-        Args:
-            x: ``(F, W)``.
-            packing: Places of these frames in P sequences.
-            memory: ``(2, P, H, S, W / H)``.
-            mask: ``(P, 1, 1, S)`` bool: the part of the memory to look at. Without one, a frame looks at no frame
-                behind its own, which takes the memory to be of the same sequences.
+        ``mask (P, 1, 1, S)`` is True in the part of the memory to look at. Without one, a frame looks at no frame
+        behind its own, which takes the memory to be of the same sequences.
         """
         found = self.look(packing.pad(self.query(x)), memory, mask, causal=mask is None)
         added: Tensor = self.output(packing.pack(found))

@@ -11,19 +11,17 @@ from torch.nn import functional
 
 
 def normalised_prediction_error(prediction: Tensor, state: Tensor, following: Tensor) -> Tensor:
-    r"""Squared error of the predicted next state, for each column as a share of what there was to predict.
+    r"""Squared error of the predicted next state, for each column as a share of the change to predict.
 
     .. math:: \frac{1}{S} \sum_i \frac{\sum_b (\hat{s}'_{bi} - s'_{bi})^2}{\sum_b (s'_{bi} - s_{bi})^2}
 
-    So every column counts, whatever its unit and however little it moves in one step.
+    So every column counts, whatever its unit and however little it moves in one step. The scalar is 1 for the
+    prediction that nothing changes, 0 for a perfect one.
 
     Args:
         prediction: ``(B, S)``.
         state: ``(B, S)``, before the step.
         following: ``(B, S)``, after it.
-
-    Returns:
-        Scalar: 1 for the prediction that nothing changes, 0 for a perfect one.
 
     Example:
         >>> nothing, moved = torch.zeros(1, 2), torch.tensor([[1.0, 100.0]])

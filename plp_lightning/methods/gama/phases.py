@@ -99,14 +99,8 @@ class TransitionDiscriminator(nn.Module):
     """Tells whether a transition and its task are of the source domain or translated.
 
     The one-hot task makes it one discriminator a task. It sees the next state as the change, in units of a typical
-    one: as next states, two transitions that differ in all that matters would look the same.
-
-    Args:
-        states: S, size of a source state.
-        actions: A, size of a source action.
-        tasks: K, number of tasks.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
+    one: as next states, two transitions that differ in all that matters would look the same. Source states have S
+    numbers, source actions A; there are K tasks.
     """
 
     unit: Tensor
@@ -166,10 +160,8 @@ class GamaAlignment(GamaPhase):
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.weights = {"adversarial": adversarial_weight, "penalty": penalty_weight}
         self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
-        states, actions = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size
-        self.discriminator = TransitionDiscriminator(
-            states, actions, policy.task_count, discriminator_hidden, discriminator_layers
-        )
+        sizes = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size, policy.task_count
+        self.discriminator = TransitionDiscriminator(*sizes, discriminator_hidden, discriminator_layers)
 
     @property
     def frozen(self) -> dict[str, nn.Module]:

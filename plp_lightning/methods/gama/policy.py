@@ -43,8 +43,7 @@ class GamaPolicy(TranslatingPolicy):
         dynamics_layers: Hidden layers of the target dynamics.
         action_map_state: Whether the action map sees the target's state beside the source's action ("GAMA + State").
         scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        image_channels: Channels of each convolution of the image encoders, the last one's become feature points;
-            without any, the policy is blind: it leaves images aside.
+        image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
 
     def __init__(

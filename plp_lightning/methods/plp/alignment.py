@@ -82,12 +82,7 @@ class Alignment(Phase[PortablePolicy]):
         return EncodedBatch(of_steps, batch.steps, of_frames, pairs), steps
 
     def imitation_losses(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """Scalar losses of learning from demonstrated actions, by name.
-
-        Args:
-            latent: Latent states ``(B_d, Z)`` by domain.
-            steps: The steps that they belong to, images encoded.
-        """
+        """Scalar losses of learning demonstrated actions by name, from latent states ``(B_d, Z)`` and their steps."""
         latent_action = self.policy.latent_action(latent, tasks_of(steps))
         action = self.policy.decode(latent_action, {domain: s.observation for domain, s in steps.items()})
         return {"bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}, self.bc_reduction)}

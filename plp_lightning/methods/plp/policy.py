@@ -108,10 +108,7 @@ class PortablePolicy(AligningPolicy):
         self.image_encoder = None if self.image_shape is None else image_encoder.build(self.image_shape)
 
     def encode_images(self, observation: Observations) -> Observations:
-        """Observations for both encoder and decoder: if both see images, with features ``(B_d, F)`` in their place.
-
-        So the image encoder, the costliest part, looks once. States stay as they are.
-        """
+        """Replaces images by features ``(B_d, F)`` if encoder and decoder see them: the costliest part looks once."""
         if self.image_encoder is None or not self.decoder_sees_images:
             return observation
         joined = encode_images(self.image_encoder, observation, self.cameras)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -21,6 +21,7 @@ from plp_lightning.methods.plp.losses import (
     standardise_jointly,
     tcc,
 )
+from plp_lightning.methods.plp.losses.tcc import Similarity
 from plp_lightning.methods.plp.policy import PortablePolicy
 from plp_lightning.networks import ImageDecoder, mlp, split_by_domain, with_frozen_parameters
 from plp_lightning.networks.vision import downsampled_sizes
@@ -109,10 +110,7 @@ class TCC(AlignmentTerm):
     needs_pairs = True
 
     def __init__(
-        self,
-        policy: PortablePolicy,
-        weight: NonNegativeFloat = 0.2,
-        similarity: Literal["distance", "squared", "scaled"] = "distance",
+        self, policy: PortablePolicy, weight: NonNegativeFloat = 0.2, similarity: Similarity = "distance"
     ) -> None:
         super().__init__(policy)
         self.weight, self.similarity = weight, similarity

@@ -79,7 +79,11 @@ class StateOnlyAlignment(Alignment):
         lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
         super().__init__(policy, terms, epochs=epochs, optimizer=optimizer, lr_scheduler=lr_scheduler)
-        _check_decoder(policy)
+        if not policy.context_columns[policy.problem.target_domain]:
+            found = policy.arguments["decoder_state"]
+            raise ConfigError(
+                f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
+            )
         self.batch_spec = replace(self.batch_spec, next_observation=True)
         self.next_reduction, self.target = next_reduction, policy.problem.target_domain
 
@@ -151,11 +155,3 @@ class StateOnlyAdaptation(Adaptation):
         known = {domain: self.before_and_after(domain, s.row) for domain, s in steps.items()}
         latent, after = ({domain: states[i] for domain, states in known.items()} for i in (0, 1))
         return one_step(self.policy.latent_action(latent, tasks_of(steps)), after, self.next_reduction)
-
-
-def _check_decoder(policy: StateOnlyPolicy) -> None:
-    if not policy.context_columns[policy.problem.target_domain]:
-        found = policy.arguments["decoder_state"]
-        raise ConfigError(
-            f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
-        )

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from plp_lightning.methods.plp.losses.distance import full_precision, inverse_distance
 
+Similarity = Literal["distance", "squared", "scaled"]
 TEMPERATURE = 0.1
 """Of the ``scaled`` softmax, as the authors of TCC set it."""
 
@@ -18,7 +19,7 @@ def tcc(
     first_mask: Tensor,
     second: Tensor,
     second_mask: Tensor,
-    first_softmax: Literal["distance", "squared", "scaled"] = "distance",
+    first_softmax: Similarity = "distance",
     reduction: Literal["mean", "sum"] = "mean",
 ) -> Tensor:
     r"""Cycle loss over pairs of encoded demonstrations of the same task, one of each of two domains.
@@ -66,7 +67,7 @@ def tcc(
     return (there + back).mean() / 2
 
 
-def _similarity(squared: Tensor, norms: Tensor, kind: Literal["distance", "squared", "scaled"], size: int) -> Tensor:
+def _similarity(squared: Tensor, norms: Tensor, kind: Similarity, size: int) -> Tensor:
     """Logits of the soft nearest neighbour; same shape as the squared distances."""
     if kind == "distance":
         return -squared * inverse_distance(squared, norms)
