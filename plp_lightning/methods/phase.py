@@ -31,7 +31,7 @@ class Phase(Configured, LightningModule, Generic[P]):
         policy: The policy to train.
         epochs: Passes over the phase's data.
         optimizer: Makes the optimizer of the trained parameters; the paper's is AdamW.
-        lr_scheduler: Makes what changes the learning rate, :class:`CosineDecay` for instance; None keeps it constant.
+        lr_scheduler: Makes the schedule of the learning rate, such as :class:`CosineDecay`; None keeps it constant.
 
     Raises:
         ConfigError: If it is a phase for other policies.
@@ -44,9 +44,9 @@ class Phase(Configured, LightningModule, Generic[P]):
     monitor: ClassVar[str] = "val/bc"
     """Held-out loss by which the best checkpoint is chosen."""
     policy_acts: ClassVar[bool] = True
-    """Whether what acts has been trained when the phase ends; if not, its success is not evaluated."""
+    """True if the acting parts are trained when the phase ends; if not, success is not evaluated."""
     bc_reduction: Literal["mean", "sum"] = "mean"
-    """Of behavioural cloning over action dimensions, in training; held-out losses are means."""
+    """Reduction of behavioural cloning over action dimensions, in training; held-out losses are means."""
 
     def __init__(
         self, policy: P, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None

@@ -79,7 +79,7 @@ class Perception(nn.Module):
 
     Args:
         problem: Domains, and statistics of their raw states.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
 
@@ -131,7 +131,7 @@ class TranslatingPolicy(AligningPolicy):
 
     Args:
         problem: Domains and tasks; exactly two domains.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders, see :class:`Perception`.
 
     Raises:

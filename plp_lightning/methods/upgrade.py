@@ -13,7 +13,7 @@ PREFIXES = {
     "image_decoder.": "terms.reconstruction.image_decoder.",
     "policy.perception.eyes.": "policy.perception.image_encoders.",
 }
-"""Where parameters were, and where they are; the first two of the portable policy's alignment alone."""
+"""New prefixes of parameters by their old ones; the first two of the portable policy's alignment alone."""
 
 
 def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ class BCCloning(Phase[BCPolicy]):
         bc_reduction: Over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
         domains: Domains whose demonstrations are learnt, all if not given. One alone tells whether they can be cloned.
 
     Raises:
@@ -65,7 +65,7 @@ class BCAdaptation(BCCloning):
         bc_reduction: Over action dimensions: ``mean`` or ``sum``.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec("mix")

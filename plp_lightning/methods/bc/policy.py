@@ -24,8 +24,8 @@ class BCPolicy(Policy):
         hidden: Units in every hidden layer.
         layers: Hidden layers.
         gradient_floor: Least slope of the final tanh in the backward pass; 0 is the plain tanh.
-        columns: Of states and actions: each domain's ``own``, or ``shared`` by all.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        columns: Columns of states and actions: each domain's ``own``, or ``shared`` by all.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:

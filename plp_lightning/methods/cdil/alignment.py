@@ -83,7 +83,7 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         discriminator_lr: Learning rate of the discriminators; that of the translator if not given.
         epochs: Passes over all data that there is.
         optimizer: Makes the optimizer of all players.
-        lr_scheduler: Makes what changes the learning rates; players who never slow down go on circling around each
+        lr_scheduler: Makes the schedule of the learning rates; players who never slow down go on circling around each
             other.
     """
 

@@ -24,7 +24,7 @@ class CdilPhase(Phase[CdilPolicy]):
         policy: The policy to train.
         epochs: Passes over the proxy data of both domains.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     trains = CdilPolicy
@@ -79,7 +79,7 @@ class CdilPositions(CdilPhase):
         reconstruction_hidden: Units of the image decoders' hidden layer.
         epochs: Passes over the proxy data.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec(progress=True)
@@ -153,7 +153,7 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         policy: The policy with everything else trained.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec("mix", images=False, next_observation=True)

@@ -87,7 +87,7 @@ class CdilPolicy(TranslatingPolicy):
         encoder_layers: Hidden layers of the translation's encoders.
         policy_layers: Hidden layers of position models, inverse dynamics and clones.
         decoder_layers: Hidden layers of the translation's decoders.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
 

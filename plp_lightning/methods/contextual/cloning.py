@@ -26,7 +26,7 @@ class ContextualCloning(Phase[ContextualPolicy]):
         policy: The policy to train.
         epochs: Passes over as many pairs as the target domain has trajectories.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     trains = ContextualPolicy

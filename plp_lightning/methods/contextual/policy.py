@@ -38,7 +38,7 @@ class ContextualPolicy(Policy):
         dropout: Share of units that training leaves out.
         max_length: Most steps of an episode or a demonstration. Of longer demonstrations the last steps are shown,
             of longer episodes the first are trained on.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_encoder: Sizes of either domain's image encoder; without channels the policy is blind.
 
     Raises:

@@ -21,7 +21,7 @@ class Prompts(nn.Module):
     Args:
         spec: The source domain.
         tasks: Names of all tasks.
-        images: Whether images are kept.
+        images: Keep images too.
     """
 
     state: Tensor

@@ -34,7 +34,7 @@ class GamaPretraining(Phase[GamaPolicy]):
         reconstruction_hidden: Units of the image decoder's hidden layer.
         epochs: Passes over the proxy data, counted in samples of both domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     trains = GamaPolicy
@@ -139,7 +139,7 @@ class GamaAlignment(GamaPhase):
         dynamics_lr: Learning rate of the dynamics.
         epochs: Passes over the proxy data, counted in samples of both domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec(images=False, next_observation=True)
@@ -209,8 +209,8 @@ class GamaAdaptation(GamaPhase):
         policy: The policy with trained maps.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
-        target_mix: Whether mixed-in proxy steps of the target domain train the source policy too, through the maps.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        target_mix: Train the source policy on mixed-in proxy steps of the target domain too, through the maps.
     """
 
     batch_spec = BatchSpec("mix", images=False)

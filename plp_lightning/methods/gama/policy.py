@@ -41,8 +41,8 @@ class GamaPolicy(TranslatingPolicy):
         policy_layers: Hidden layers of the source policy.
         map_layers: Hidden layers of the state map and of the action map.
         dynamics_layers: Hidden layers of the target dynamics.
-        action_map_state: Whether the action map sees the target's state beside the source's action ("GAMA + State").
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        action_map_state: Show the action map the target's state beside the source's action ("GAMA + State").
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
 

@@ -25,7 +25,7 @@ class Adaptation(CachedStates[PortablePolicy]):
         policy: The aligned policy.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     trains = PortablePolicy

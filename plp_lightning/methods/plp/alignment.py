@@ -27,10 +27,10 @@ class Alignment(Phase[PortablePolicy]):
         policy: The policy to train.
         terms: Alignment terms by name: MMD, TCC, DomainAdversarial, ImageReconstruction or one of your own; null leaves
             one away.
-        bc_reduction: Of behavioural cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
+        bc_reduction: Reduction of cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; the paper's is constant.
+        lr_scheduler: Makes the schedule of the learning rate; the paper's is constant.
     """
 
     trains = PortablePolicy

@@ -58,14 +58,14 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
-        encoder_state: What the encoder sees of the state: ``all``, or the named keys, of which each domain shows those
+        encoder_state: Part of the state for the encoder: ``all``, or the named keys, of which each domain shows those
             that it has. Domains align more easily by what they have in common; the rest is for the decoder.
-        decoder_state: What the decoder sees beside the latent action: ``none``; ``proprioception``, which is the whole
+        decoder_state: Input of the decoder beside the latent action: ``none``; ``proprioception``, which is the whole
             state, since a state holds what a robot senses of itself; ``all``, which is the state and the image; or
             the named keys of the state, of which each domain shows those that it has.
-        columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
-            domains whose vectors mean the same.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        columns: Columns of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which
+            suits domains whose vectors mean the same.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:

@@ -51,7 +51,7 @@ class AlignmentTerm(Configured, nn.Module, ABC):
     """
 
     needs_pairs: ClassVar[bool] = False
-    """Whether it compares paired trajectories, which the batches then hold."""
+    """True for terms that compare paired trajectories, which the batches then hold."""
 
     def __init__(self, policy: PortablePolicy) -> None:
         super().__init__()
@@ -179,8 +179,8 @@ class ImageReconstruction(AlignmentTerm):
     Args:
         policy: The policy that is aligned.
         weight: Weight of the loss; 0 leaves the image decoder away.
-        downsampling: How often images are halved before; each makes the image decoder, the costliest part of a step
-            with images, a layer shorter.
+        downsampling: Number of times that images are halved before; each makes the image decoder, the costliest part
+            of a step with images, a layer shorter.
 
     Raises:
         ConfigError: If no layer would be left.

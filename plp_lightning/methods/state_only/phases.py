@@ -58,10 +58,10 @@ class StateOnlyAlignment(Alignment):
     Args:
         policy: The policy to train.
         terms: Alignment terms by name, as those of :class:`Alignment`.
-        next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
+        next_reduction: Reduction of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
 
     Raises:
         ConfigError: If the policy's decoder does not see the state.
@@ -120,8 +120,8 @@ class StateOnlyAdaptation(Adaptation):
         policy: The aligned policy.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
-        next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        next_reduction: Reduction of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
     """
 
     trains = StateOnlyPolicy

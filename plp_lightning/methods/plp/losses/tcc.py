@@ -11,7 +11,7 @@ from plp_lightning.methods.plp.losses.distance import full_precision, inverse_di
 
 Similarity = Literal["distance", "squared", "scaled"]
 TEMPERATURE = 0.1
-"""Of the ``scaled`` softmax, as the authors of TCC set it."""
+"""Temperature of the ``scaled`` softmax, as the authors of TCC set it."""
 
 
 def tcc(
