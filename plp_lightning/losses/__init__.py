@@ -1,8 +1,7 @@
 """Losses that several methods share: pure functions of tensors, each with its shapes and its equation."""
 
 from plp_lightning.losses.bc import behavioural_cloning
-from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.losses.r1_penalty import r1_penalty, weighted_mean
 from plp_lightning.losses.reconstruction import reconstruction
-from plp_lightning.losses.weighted_mean import weighted_mean
 
 __all__ = ["behavioural_cloning", "r1_penalty", "reconstruction", "weighted_mean"]

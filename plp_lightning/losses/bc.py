@@ -1,4 +1,4 @@
-"""Behavioural cloning: how far predicted actions are from demonstrated ones."""
+"""Behavioural cloning."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 def behavioural_cloning(
     prediction: Mapping[str, Tensor], action: Mapping[str, Tensor], reduction: Literal["mean", "sum"] = "mean"
 ) -> Tensor:
-    r"""Squared distance to the demonstrated action, mean over the samples of all domains.
+    r"""Squared distance to the demonstrated action, a scalar, the mean over the samples of all domains.
 
     .. math:: L_{BC} = \mathbb{E}_{(s,a,d,k)} \| \psi_d(\pi_z(\phi_d(s), k), s) - a \|^2
 
@@ -26,9 +26,6 @@ def behavioural_cloning(
         reduction: Over the action dimensions of a domain: their ``mean``, so that domains weigh alike whatever the
             size of their actions, or their ``sum`` (as printed).
 
-    Returns:
-        Scalar.
-
     Example:
         >>> behavioural_cloning({"point": torch.tensor([[1.0, 2.0]])}, {"point": torch.zeros(1, 2)})
         tensor(2.5000)
@@ -36,11 +33,11 @@ def behavioural_cloning(
     assert prediction, "expected at least one domain"
     assert prediction.keys() == action.keys(), f"predictions of {[*prediction]}, actions of {[*action]}"
     for domain, predicted in prediction.items():
-        shape = tuple(action[domain].shape)
+        shape, found = tuple(action[domain].shape), tuple(predicted.shape)
         assert len(shape) == 2, f"expected actions (B, A) in domain {domain!r}, got {shape}"
-        assert predicted.shape == shape, (
-            f"expected predictions {shape} in domain {domain!r}, got {tuple(predicted.shape)}"
-        )
-    share = {domain: predicted.shape[1] if reduction == "mean" else 1 for domain, predicted in prediction.items()}
-    errors = [(predicted - action[d]).square().sum() / share[d] for d, predicted in prediction.items()]
+        assert found == shape, f"expected predictions {shape} in domain {domain!r}, got {found}"
+    errors = [
+        (predicted - action[domain]).square().sum() / (predicted.shape[1] if reduction == "mean" else 1)
+        for domain, predicted in prediction.items()
+    ]
     return torch.stack(errors).sum() / sum(len(predicted) for predicted in prediction.values())

@@ -1,11 +1,9 @@
-"""What keeps a discriminator from growing ever steeper: a penalty on its slope."""
+"""Penalty on a discriminator's slope at weighted samples."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
-
-from plp_lightning.losses.weighted_mean import weighted_mean
 
 
 def r1_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
@@ -15,15 +13,13 @@ def r1_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
 
     A discriminator that is as good as certain teaches nothing, or leads away from what is real. With this penalty the
     game of discriminator and generator has a point where both come to rest. See "Which Training Methods for GANs do
-    actually Converge?" (https://arxiv.org/abs/1801.04406), Eq. 9, without its factor γ.
+    actually Converge?" (https://arxiv.org/abs/1801.04406), Eq. 9, without its factor γ. The gradient of the scalar
+    reaches the discriminator; it is 0 if all weights are 0.
 
     Args:
-        judged: ``(B,)``: what the discriminator says of the samples, each from its own row alone.
+        judged: ``(B,)``, the discriminator's verdicts, each from its own row alone.
         real: ``(B, N)``, the samples, which require a gradient.
         weight: ``(B,)``, bool or at least 0.
-
-    Returns:
-        Scalar, whose gradient reaches the discriminator; 0 if all weights are 0.
 
     Example:
         >>> real = torch.ones(2, 3, requires_grad=True)
@@ -32,3 +28,15 @@ def r1_penalty(judged: Tensor, real: Tensor, weight: Tensor) -> Tensor:
     """
     (slope,) = torch.autograd.grad(judged.sum(), real, create_graph=True)
     return weighted_mean(slope.square().sum(dim=1), weight) / 2
+
+
+def weighted_mean(value: Tensor, weight: Tensor) -> Tensor:
+    """Mean of ``value (B,)`` under ``weight (B,)``, bool or ≥ 0; 0 if all weights are 0.
+
+    Example:
+        >>> weighted_mean(torch.tensor([1.0, 2.0, 9.0]), torch.tensor([True, True, False]))
+        tensor(1.5000)
+    """
+    assert value.shape == weight.shape, f"expected one weight a sample {tuple(value.shape)}, got {tuple(weight.shape)}"
+    total = weight.sum()
+    return (value * weight).sum() / total.where(total > 0, 1)

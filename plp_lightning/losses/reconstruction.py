@@ -1,4 +1,4 @@
-"""Image reconstruction: how much of what a camera saw is still in the latent state."""
+"""Image reconstruction: a measure of how much of an image is still in the latent state."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ from torch.nn import functional
 
 
 def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]) -> Tensor:
-    r"""Squared error of a pixel's colours in [0, 1], mean over pixels, colours and the samples of all domains.
+    r"""Squared error of a pixel's colours in [0, 1], a scalar, the mean over pixels, colours and all domains' samples.
 
     .. math:: L_{rec} = \mathbb{E}_{(s,d)} \frac{1}{HWC} \| \rho_d(\phi_d(s)) - o / 255 \|^2
 
     with o the image that belongs to the state s, averaged over squares of pixels if the prediction is smaller.
     See "Cross-Domain Policy Transfer by Representation Alignment via Multi-Domain Behavioral Cloning"
     (https://arxiv.org/abs/2407.16912), appendix on architectures, which names the loss and leaves its form open.
+    Computed in float32 whatever autocast says.
 
     Args:
         prediction: By domain, floats in [0, 1], ``(B_d, H, W, C)``.
         image: By domain, uint8, ``(B_d, H', W', C)``, at least as large.
-
-    Returns:
-        Scalar; float32 whatever autocast says.
 
     Example:
         >>> reconstruction({"left": torch.full((1, 2, 2, 3), 0.5)}, {"left": torch.zeros(1, 2, 2, 3).byte()})
@@ -32,9 +30,7 @@ def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]
     """
     assert prediction, "expected at least one domain"
     assert prediction.keys() == image.keys(), f"predictions of {[*prediction]}, images of {[*image]}"
-    errors = [
-        (predicted - _target(predicted, image[domain])).square().sum() for domain, predicted in prediction.items()
-    ]
+    errors = [(predicted - _target(predicted, image[d])).square().sum() for d, predicted in prediction.items()]
     return torch.stack(errors).sum() / sum(predicted.numel() for predicted in prediction.values())
 
 

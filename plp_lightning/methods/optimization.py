@@ -14,7 +14,7 @@ from datamodules.settings import Configured, Fraction, NonNegativeFloat, Share
 OptimizerFactory = Callable[[Iterable[Any]], Optimizer]
 """Makes an optimizer of parameters, or of groups of them."""
 SchedulerFactory = Callable[[Optimizer], LRScheduler]
-"""Makes what changes an optimizer's rates: one of the two below, or any of torch's."""
+"""Makes a schedule of an optimizer's rates: one of the two below, or any of torch's."""
 
 
 class FusedAdamW(Configured, AdamW):
@@ -43,20 +43,17 @@ class PhaseSchedule(ABC):
     """A schedule that spans a phase, and is told how long that is."""
 
     interval: ClassVar[Literal["step", "epoch"]]
-    """What the rate changes after."""
+    """Unit of time after which the rate changes."""
 
     @abstractmethod
     def span(self, steps: int, epochs: int) -> None:
-        """Take the length of the phase, before its first step."""
+        """Takes the length of the phase, before its first step."""
 
 
 class CosineDecay(CosineAnnealingLR, PhaseSchedule):
     """Lowers the rate to 0 along half a cosine over all steps of the phase.
 
     See "SGDR: Stochastic Gradient Descent with Warm Restarts" (https://arxiv.org/abs/1608.03983), Eq. 5.
-
-    Args:
-        optimizer: The optimizer.
     """
 
     interval = "step"
@@ -65,7 +62,6 @@ class CosineDecay(CosineAnnealingLR, PhaseSchedule):
         super().__init__(optimizer, T_max=1)
 
     def span(self, steps: int, epochs: int) -> None:
-        """End with the last step."""
         self.T_max = steps
 
 
@@ -87,7 +83,6 @@ class LinearDecay(LambdaLR, PhaseSchedule):
         super().__init__(optimizer, self._factor)
 
     def span(self, steps: int, epochs: int) -> None:
-        """End with the last epoch."""
         self.epochs = epochs
 
     def _factor(self, epoch: int) -> float:
@@ -95,12 +90,7 @@ class LinearDecay(LambdaLR, PhaseSchedule):
 
 
 def slowed(epoch: int, epochs: int, share: float) -> float:
-    """Factor of the learning rate in an epoch: 1 at first, then falling in a line that meets 0 after the last epoch.
-
-    Args:
-        epoch: From 0 on.
-        epochs: How many there are.
-        share: Part of them that the fall takes.
+    """Factor of the learning rate in an epoch, from 0 on: 1, but falling in a line to 0 over the last ``share``.
 
     Example:
         >>> [slowed(epoch, 4, 0.5) for epoch in range(4)]

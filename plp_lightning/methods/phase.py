@@ -1,23 +1,27 @@
-"""What all phases share: a policy, an optimiser, the held-out loss and what their checkpoints hold."""
+"""PHASE: the part that all training stages share: cloning and its held-out loss, the optimizer and checkpoints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
+import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor, nn
 
+from datamodules.batches.dataset import DomainDataset
 from datamodules.errors import ConfigError
 from datamodules.settings import Configured, recipe
-from datamodules.types import Batch, BatchSpec, Steps
+from datamodules.types import Batch, BatchSpec, Observation, Steps
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import OptimizerFactory, PhaseSchedule, SchedulerFactory
 from plp_lightning.methods.policy import Policy
 from plp_lightning.methods.upgrade import upgrade_checkpoint
 
 P = TypeVar("P", bound=Policy)
+ROWS_AT_A_TIME = 8192
 
 
 class Phase(Configured, LightningModule, Generic[P]):
@@ -27,21 +31,22 @@ class Phase(Configured, LightningModule, Generic[P]):
         policy: The policy to train.
         epochs: Passes over the phase's data.
         optimizer: Makes the optimizer of the trained parameters; the paper's is AdamW.
-        lr_scheduler: Makes what changes the learning rate, :class:`CosineDecay` for instance; a constant rate if not
-            given.
+        lr_scheduler: Makes the schedule of the learning rate, such as :class:`CosineDecay`; None keeps it constant.
 
     Raises:
         ConfigError: If it is a phase for other policies.
     """
 
     trains: ClassVar[type] = Policy
-    """Which policies it can train."""
+    """Class of the policies that it can train."""
     batch_spec: BatchSpec = BatchSpec()
-    """Which batches the DataModule shall give."""
+    """Batches that the DataModule shall give."""
     monitor: ClassVar[str] = "val/bc"
     """Held-out loss by which the best checkpoint is chosen."""
     policy_acts: ClassVar[bool] = True
-    """Whether what acts has been trained when the phase ends; if not, its success is not evaluated."""
+    """True if the acting parts are trained when the phase ends; if not, success is not evaluated."""
+    bc_reduction: Literal["mean", "sum"] = "mean"
+    """Reduction of behavioural cloning over action dimensions, in training; held-out losses are means."""
 
     def __init__(
         self, policy: P, epochs: int, optimizer: OptimizerFactory, lr_scheduler: SchedulerFactory | None = None
@@ -59,57 +64,105 @@ class Phase(Configured, LightningModule, Generic[P]):
         """Parts whose parameters and buffers must not change in this phase, by name."""
         return {}
 
-    def trained_parameters(self) -> Iterable[nn.Parameter]:
-        """What the optimizer may change."""
-        return (parameter for parameter in self.parameters() if parameter.requires_grad)
-
     def parameter_groups(self) -> list[Any]:
-        """What the optimizer is made of: the trained parameters, or groups of them with rates of their own."""
-        return list(self.trained_parameters())
+        """Gives the parameters that the optimizer may change, or groups of them with rates of their own."""
+        return [parameter for parameter in self.parameters() if parameter.requires_grad]
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """Make the optimizer and, unless the rate is constant, what changes its rate."""
         optimizer = self.optimizer(self.parameter_groups())
         if self.lr_scheduler is None:
             return optimizer
         schedule, interval = self.lr_scheduler(optimizer), "epoch"
         if isinstance(schedule, PhaseSchedule):
-            steps, epochs = self.trainer.estimated_stepping_batches, self.trainer.max_epochs
-            schedule.span(int(steps), epochs or self.epochs)
+            schedule.span(int(self.trainer.estimated_stepping_batches), self.trainer.max_epochs or self.epochs)
             interval = schedule.interval
         return {
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": schedule, "interval": interval, "monitor": self.monitor},
         }
 
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Behavioural-cloning loss of a batch's steps, a scalar."""
+        loss = self.cloning_loss(batch.steps, self.bc_reduction)
+        self.log_parts({"bc": loss}, step_count(batch.steps))
+        return loss
+
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Behavioural-cloning loss on held-out trajectories, for each domain."""
         for domain, steps in batch.steps.items():
-            loss = behavioural_cloning(self.predict({domain: steps}), {domain: steps.action})
-            size = len(steps.action)
-            self.log(f"val/bc_{domain}", loss, batch_size=size, on_epoch=True)
-            self.log("val/bc", loss, batch_size=size, on_epoch=True)
+            loss = self.cloning_loss({domain: steps})
+            for name in (f"val/bc_{domain}", "val/bc"):
+                self.log(name, loss, batch_size=len(steps.action), on_epoch=True)
 
     def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """The policy's actions ``(B_d, A_d)`` by domain."""
-        observation = {domain: s.observation for domain, s in steps.items()}
-        return self.policy.predict_actions(observation, {domain: s.task for domain, s in steps.items()})
+        return self.policy.predict_actions({d: s.observation for d, s in steps.items()}, tasks_of(steps))
+
+    def cloning_loss(self, steps: Mapping[str, Steps], reduction: Literal["mean", "sum"] = "mean") -> Tensor:
+        """Scalar distance of the policy's actions to demonstrated ones ``(B_d, A_d)``, all domains together."""
+        return behavioural_cloning(self.predict(steps), {d: s.action for d, s in steps.items()}, reduction)
 
     @property
     def logs_now(self) -> bool:
-        """Whether loggers write this training step down; in all others nothing is gathered for them."""
-        every: int = self.trainer.log_every_n_steps  # type: ignore[attr-defined]
-        return (self.trainer.global_step + 1) % every == 0
+        """True in training steps that loggers write down; in all others nothing is gathered for them."""
+        return (self.trainer.global_step + 1) % int(self.trainer.log_every_n_steps) == 0  # type: ignore[attr-defined]
 
     def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
-        """Losses of a training step, as ``train/<name>``."""
-        for name, value in parts.items():
+        """Logs the scalar losses of a training step as ``train/<name>``, if loggers write it down."""
+        for name, value in parts.items() if self.logs_now else ():
             self.log(f"train/{name}", value.detach(), batch_size=batch_size)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what rebuilds the policy without the configuration: plain lists, strings and numbers."""
+        """Adds a recipe of the policy that needs no configuration: plain lists, strings and numbers."""
         checkpoint["policy"] = {"problem": self.policy.problem.to_dict(), **recipe(self.policy, ["problem"])}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Understand what earlier versions saved."""
+        """Brings checkpoints of earlier versions up to date."""
         upgrade_checkpoint(checkpoint)
+
+
+class CachedStates(Phase[P]):
+    """A phase during which states do not change: each is computed once and looked up by row from then on."""
+
+    states: dict[str, Tensor]
+    """State ``(N, S_d)`` of every observation, by domain."""
+    next_row: dict[str, Tensor]
+    """Row ``(N,)`` of the observation after each step, by domain."""
+
+    @abstractmethod
+    def state_of(self, domain: str, observation: Observation[Tensor]) -> Tensor:
+        """State ``(B, S_d)`` of a domain's observation, ``(B, O)`` and ``(B, H, W, C)``."""
+
+    def on_fit_start(self) -> None:
+        self._cache_all()
+
+    def on_validation_start(self) -> None:
+        if not hasattr(self, "states"):  # without training before
+            self._cache_all()
+
+    def before_and_after(self, domain: str, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """States ``(B, S_d)`` before and after the steps at ``rows (B,)``, all of which have a next observation."""
+        states = self.states[domain]
+        return states[rows], states[self.next_row[domain][rows]]
+
+    def _rows_to_cache(self, dataset: DomainDataset) -> int:
+        return len(dataset.observation)  # last observations too, which follow steps
+
+    @torch.no_grad()
+    def _cache_all(self) -> None:
+        self.states, self.next_row = {}, {}
+        for domain, dataset in self.trainer.datamodule.datasets.items():  # type: ignore[attr-defined]
+            chunks = torch.arange(self._rows_to_cache(dataset)).split(dataset.rows_at_a_time(ROWS_AT_A_TIME))
+            seen = (dataset.observation.take(rows).map(lambda x: x.to(self.device)) for rows in chunks)
+            self.states[domain] = torch.cat([self.state_of(domain, observation) for observation in seen])
+            self.next_row[domain] = dataset.next_row.to(self.device)
+
+
+def step_count(steps: Mapping[str, Steps]) -> int:
+    """Number of steps ``Σ B_d`` in all domains together."""
+    return sum(len(s.action) for s in steps.values())
+
+
+def tasks_of(steps: Mapping[str, Steps]) -> dict[str, Tensor]:
+    """Task indices ``(B_d,)`` of the steps, by domain."""
+    return {domain: s.task for domain, s in steps.items()}

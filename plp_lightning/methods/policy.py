@@ -1,4 +1,4 @@
-"""POLICY: what every method's policy has in common, so that data, evaluation and runs need not know the method."""
+"""POLICY: the base of every method's policy, so that data, evaluation and runs need not know the method."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from datamodules.types import Actor, Observation
 Parts = Mapping[str, Tensor]
 """One tensor by domain, with as many rows as the domain has in the batch."""
 Observations = Mapping[str, Observation[Tensor]]
-"""What is seen, by domain."""
+"""Observations of B_d rows each, by domain."""
 
 
 class Policy(Configured, nn.Module, ABC):
-    """Acts in the domains, on any of the tasks.
+    """Network that acts in the domains, on any of the tasks.
 
     Args:
         problem: Domains and tasks.
@@ -35,7 +35,7 @@ class Policy(Configured, nn.Module, ABC):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Domains that have one."""
+        """Domains that have a camera."""
         return tuple(name for name, spec in self.domains.items() if spec.image_key is not None)
 
     @property
@@ -48,7 +48,7 @@ class Policy(Configured, nn.Module, ABC):
         """Actions ``(B_d, A_d)`` by domain.
 
         Args:
-            observation: By domain, B_d rows each.
+            observation: States ``(B_d, O)``, and images ``(B_d, H, W, C)`` or None, by domain.
             task: Indices of the tasks ``(B_d,)`` int64, by domain.
         """
 
@@ -70,11 +70,10 @@ class Policy(Configured, nn.Module, ABC):
         _check_known("domain", [domain], self.acts_in)
         _check_known("task", names, self.tasks)
         ids = torch.tensor([self.tasks[name] for name in names], device=device)
-        actions: np.ndarray = self.predict_actions(seen, {domain: ids})[domain].cpu().numpy()
-        return actions
+        return np.asarray(self.predict_actions(seen, {domain: ids})[domain].cpu())
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
-        """Who acts in episodes of ``tasks`` that begin now; a policy with a memory starts one for each of them."""
+        """Gives a function that acts in new episodes of ``tasks``, maybe with a memory: ``(n, O)`` → ``(n, A)``."""
 
         def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
             return self.act(observation, domain, [tasks[i] for i in running])

@@ -13,31 +13,27 @@ PREFIXES = {
     "image_decoder.": "terms.reconstruction.image_decoder.",
     "policy.perception.eyes.": "policy.perception.image_encoders.",
 }
-"""Where parameters were, and where they are; the first two of the portable policy's alignment alone."""
+"""New prefixes of parameters by their old ones; the first two of the portable policy's alignment alone."""
 
 
 def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:
-    """Bring a checkpoint up to date in place; one of today's stays as it is.
-
-    Args:
-        checkpoint: As Lightning saves it.
-    """
+    """Brings a checkpoint, as Lightning saves it, up to date in place; one of today's stays as it is."""
     if "architecture" not in checkpoint["policy"]:
         return
     # GAMA's discriminator is where it was: it has a unit of changes, which the domain discriminator has not.
     prefixes = dict(PREFIXES)
     if any(name.startswith(("discriminator.unit", "discriminators.")) for name in checkpoint["state_dict"]):
         prefixes.pop("discriminator.")
-    moved = {name: _moved(name, prefixes) for name in checkpoint["state_dict"]}
-    checkpoint["state_dict"] = {moved[name]: value for name, value in checkpoint["state_dict"].items()}
-    if any("eyes" in name for name in moved):
+    names = [*checkpoint["state_dict"]]
+    checkpoint["state_dict"] = {_moved(name, prefixes): value for name, value in checkpoint["state_dict"].items()}
+    if any("eyes" in name for name in names):
         # Hashes of frozen parts go over names too; they are taken anew.
         checkpoint.get("callbacks", {}).pop("FreezeGuard", None)
     if not checkpoint.get("lr_schedulers"):
         # CDIL's rates fell without a scheduler: one that goes on has to know the epoch.
         groups = [len(state["param_groups"]) for state in checkpoint.get("optimizer_states", [])]
-        states = [{"last_epoch": checkpoint.get("epoch", 0), "lr_lambdas": [None] * count} for count in groups]
-        checkpoint["lr_schedulers"] = states
+        epoch = checkpoint.get("epoch", 0)
+        checkpoint["lr_schedulers"] = [{"last_epoch": epoch, "lr_lambdas": [None] * count} for count in groups]
 
 
 def _moved(name: str, prefixes: dict[str, str]) -> str:
@@ -46,12 +42,7 @@ def _moved(name: str, prefixes: dict[str, str]) -> str:
 
 
 def upgrade_recipe(class_path: str, architecture: Mapping[str, Any]) -> dict[str, Any]:
-    """How to build a policy that an earlier version saved.
-
-    Args:
-        class_path: Its class, as it was called.
-        architecture: Its settings, as they were called.
-    """
+    """Recipe of a policy that an earlier version saved with this class and these settings."""
     short = class_path.rpartition(".")[2].replace("FlatPolicy", "BCPolicy")
     settings = {name: value for name, value in architecture.items() if name != "clip"}
     if "image_features" in settings:  # the others keep their image_channels

@@ -1,9 +1,8 @@
 """NETWORKS: the parts that policies of several methods are put together from, as plain torch modules."""
 
-from plp_lightning.networks.columns import DomainColumns, Sharing
+from plp_lightning.networks.domains import DomainColumns, InputScaler, Sharing, split_by_domain
 from plp_lightning.networks.frozen import with_frozen_parameters
-from plp_lightning.networks.perceptrons import ActionDecoder, StateEncoder, mlp
-from plp_lightning.networks.scaling import InputScaler
+from plp_lightning.networks.perceptrons import ActionDecoder, StateEncoder, TaskNetwork, mlp
 from plp_lightning.networks.vision import ImageDecoder, ImageEncoder, ImageEncoding
 
 __all__ = [
@@ -15,6 +14,8 @@ __all__ = [
     "InputScaler",
     "Sharing",
     "StateEncoder",
+    "TaskNetwork",
     "mlp",
+    "split_by_domain",
     "with_frozen_parameters",
 ]

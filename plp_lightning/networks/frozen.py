@@ -9,16 +9,10 @@ from torch import Tensor, nn
 
 
 def with_frozen_parameters(module: nn.Module) -> Callable[..., Tensor]:
-    """``module`` as a function of its inputs, for losses of whoever made them and not of the module.
+    """``module``, of one tensor, as a function of its inputs: for losses of their maker and not of the module.
 
     A generator is taught by its discriminator's verdict, which would teach the discriminator to be fooled if the
     gradient reached it. Parameters are detached, so other losses of the same step may train them.
-
-    Args:
-        module: Any module that returns one tensor.
-
-    Returns:
-        The module's forward pass, with the same numbers.
 
     Example:
         >>> linear, x = nn.Linear(2, 1), torch.ones(1, 2, requires_grad=True)
@@ -27,9 +21,4 @@ def with_frozen_parameters(module: nn.Module) -> Callable[..., Tensor]:
         (True, False)
     """
     fixed = {name: parameter.detach() for name, parameter in module.named_parameters()}
-
-    def forward(*inputs: Tensor) -> Tensor:
-        output: Tensor = torch.func.functional_call(module, fixed, inputs)
-        return output
-
-    return forward
+    return lambda *inputs: torch.func.functional_call(module, fixed, inputs)

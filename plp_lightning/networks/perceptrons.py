@@ -1,4 +1,4 @@
-"""The three parts of a portable latent policy, as plain torch modules (paper, Section 4.1 and appendix)."""
+"""Perceptrons: the parts of a portable latent policy (paper, Section 4.1 and appendix), and others of their form."""
 
 from __future__ import annotations
 
@@ -9,23 +9,14 @@ from torch import Tensor, nn
 
 
 def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
-    """``layers`` hidden layers of ``hidden`` GELU units, then one linear layer."""
+    """Builds ``layers`` hidden layers of ``hidden`` GELU units, then one linear layer: ``(B, N)`` → ``(B, M)``."""
     sizes = [inputs] + [hidden] * layers
-    blocks: list[nn.Module] = []
-    for size_in, size_out in pairwise(sizes):
-        blocks += [nn.Linear(size_in, size_out), nn.GELU()]
+    blocks = [block for size, after in pairwise(sizes) for block in (nn.Linear(size, after), nn.GELU())]
     return nn.Sequential(*blocks, nn.Linear(sizes[-1], outputs))
 
 
 class StateEncoder(nn.Module):
-    """φ(s, d): padded, scaled state and one-hot domain → latent state s_z.
-
-    Args:
-        inputs: Width of the padded state and the domain id together.
-        latent: Z, size of the latent state.
-        hidden: Units in a hidden layer.
-        layers: Hidden layers.
-    """
+    """φ(s, d): padded, scaled state and one-hot domain, ``inputs`` numbers together → ``latent`` numbers s_z."""
 
     def __init__(self, inputs: int, latent: int, hidden: int, layers: int) -> None:
         super().__init__()
@@ -35,6 +26,29 @@ class StateEncoder(nn.Module):
         """``(B, inputs)`` → ``(B, Z)``."""
         latent: Tensor = self.net(x)
         return latent
+
+
+class TaskNetwork(nn.Module):
+    """A vector and a one-hot task → numbers: common policies, clones, position models and critics, knowing no domain.
+
+    Args:
+        inputs: N, length of the vector.
+        tasks: K, number of task ids; ids of tasks to come have their place from the start.
+        outputs: M, length of the result.
+        hidden: Units in a hidden layer.
+        layers: Hidden layers.
+    """
+
+    def __init__(self, inputs: int, tasks: int, outputs: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.tasks = tasks
+        self.net = mlp(inputs + tasks, hidden, layers, outputs)
+
+    def forward(self, x: Tensor, task: Tensor) -> Tensor:
+        """``(B, N)`` and int64 ``(B,)`` → ``(B, M)``."""
+        one_hot = nn.functional.one_hot(task, self.tasks).to(x.dtype)
+        out: Tensor = self.net(torch.cat([x, one_hot], dim=-1))
+        return out
 
 
 class ActionDecoder(nn.Module):

@@ -8,6 +8,7 @@ Outside of these modules images are ``(B, H, W, C)``, as cameras and files have 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import prod
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +16,7 @@ from torch import Tensor, nn
 from datamodules.errors import ConfigError
 from datamodules.settings import Configured, PositiveInt
 from datamodules.types import DomainSpec, Observation
+from plp_lightning.networks.domains import split_by_domain
 
 KERNEL, STRIDE, PADDING = 3, 2, 1
 UNTRAINED_BYTES = 64 * 2**20
@@ -34,20 +36,16 @@ class ImageEncoding(Configured):
     features: PositiveInt = 1024
 
     def build(self, shape: Sequence[int]) -> "ImageEncoder":
-        """An encoder of images ``(H, W, C)``."""
+        """Build an encoder of images ``(H, W, C)``."""
         return ImageEncoder(shape, self.channels, self.features)
 
 
 class ImageEncoder(nn.Module):
-    """Strided CoordConv network: an image and where its pixels are → a vector.
+    """Strided CoordConv network: an image and the places of its pixels → a vector.
 
     The coordinates come in at the input alone: "An Intriguing Failing of Convolutional Neural Networks and the
-    CoordConv Solution" (https://arxiv.org/abs/1807.03247), without its radius channel.
-
-    Args:
-        shape: Height, width and colours of an image.
-        channels: Of each convolution; each halves the image's sides.
-        features: F, length of the vector.
+    CoordConv Solution" (https://arxiv.org/abs/1807.03247), without its radius channel. Arguments are those of
+    :class:`ImageEncoding`, for images of ``shape (H, W, C)``.
     """
 
     coordinates: Tensor
@@ -60,9 +58,9 @@ class ImageEncoder(nn.Module):
         for size_in, size_out in pairwise([colours + 2, *channels]):
             layers += [nn.Conv2d(size_in, size_out, KERNEL, STRIDE, PADDING), nn.GELU()]
         self.convolutions = nn.Sequential(*layers)
-        self.linear = nn.Linear(channels[-1] * _area(downsampled_sizes((height, width), len(channels))[-1]), features)
-        first_layer = 4 * channels[0] * _area(downsampled_sizes((height, width), 1)[-1])
-        self.most_rows = max(1, UNTRAINED_BYTES // first_layer)
+        sizes = downsampled_sizes((height, width), len(channels))
+        self.linear = nn.Linear(channels[-1] * prod(sizes[-1]), features)
+        self.most_rows = max(1, UNTRAINED_BYTES // (4 * channels[0] * prod(sizes[1])))
         initialise(self)
         _lay_out(self)
 
@@ -81,13 +79,9 @@ class ImageEncoder(nn.Module):
 
 
 class ImageDecoder(nn.Module):
-    """The encoder's mirror image: latent state and domain → what the domain's camera saw.
+    """The encoder's mirror image: Z ``latent`` numbers and one of D ``domains`` → image ``(H, W, C)`` of its camera.
 
-    Args:
-        latent: Z, size of latent states.
-        domains: D, number of domains.
-        shape: Height, width and colours of an image.
-        channels: Of the encoder's convolutions, in the encoder's order.
+    ``channels`` are those of the encoder's convolutions, in the encoder's order.
     """
 
     def __init__(self, latent: int, domains: int, shape: Sequence[int], channels: Sequence[int]) -> None:
@@ -95,7 +89,7 @@ class ImageDecoder(nn.Module):
         height, width, colours = shape
         sizes = downsampled_sizes((height, width), len(channels))[::-1]
         self.domains, self.start = domains, (channels[-1], *sizes[0])
-        self.linear = nn.Linear(latent + domains, channels[-1] * _area(sizes[0]))
+        self.linear = nn.Linear(latent + domains, prod(self.start))
         layers: list[nn.Module] = []
         for (size_in, size_out), (small, large) in zip(
             pairwise([*reversed(channels), colours]), pairwise(sizes), strict=True
@@ -131,9 +125,9 @@ def downsampled_sizes(sides: tuple[int, int], count: int) -> list[tuple[int, int
 
 
 def initialise(network: nn.Module) -> None:
-    """Weights that keep the size of activations from layer to layer, biases of zero (torch's own let it shrink).
+    """Sets weights that keep the size of activations from layer to layer, and biases of zero.
 
-    See "Delving Deep into Rectifiers" (https://arxiv.org/abs/1502.01852), Eq. 10.
+    Torch's own let it shrink. See "Delving Deep into Rectifiers" (https://arxiv.org/abs/1502.01852), Eq. 10.
     """
     for module in network.modules():
         if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
@@ -146,14 +140,10 @@ def initialise(network: nn.Module) -> None:
 
 
 def _lay_out(network: nn.Module) -> None:
-    """Weights of convolutions in the memory layout in which images come."""
+    """Lays the weights of convolutions out in memory as images come."""
     for parameter in network.parameters():
         if parameter.ndim == 4:
             parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
-
-
-def _area(sides: tuple[int, int]) -> int:
-    return sides[0] * sides[1]
 
 
 def image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
@@ -187,5 +177,4 @@ def encode_images(
         return torch.cat([*blank.values()])
     joined = torch.cat([*images.values()])
     features = joined if joined.is_floating_point() else encoder(joined)
-    found = dict(zip(images, features.split([len(image) for image in images.values()]), strict=True))
-    return torch.cat([*(blank | found).values()])
+    return torch.cat([*(blank | split_by_domain(features, images)).values()])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.losses import r1_penalty
 
 
 def slow(judge: nn.Module, real: Tensor, counts: Tensor, step: float = 1e-6) -> float:

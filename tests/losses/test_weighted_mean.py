@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plp_lightning.losses.weighted_mean import weighted_mean
+from plp_lightning.losses import weighted_mean
 
 
 @given(st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 1)), min_size=1, max_size=6), st.floats(0.1, 10))

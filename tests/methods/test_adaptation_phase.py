@@ -52,8 +52,8 @@ def test_cached_latents_are_fresh_latents(adapted: tuple[Watched, dict[str, Tens
     phase, data = adapted[0], tiny.data_module(trajectory_file)
     for domain, dataset in data.datasets.items():
         fresh = phase.policy.encode({domain: dataset.observation.take(slice(len(dataset)))})[domain]
-        torch.testing.assert_close(phase.latents[domain], fresh)
-        assert not phase.latents[domain].requires_grad
+        torch.testing.assert_close(phase.states[domain], fresh)
+        assert not phase.states[domain].requires_grad
 
 
 def test_the_optimiser_holds_the_common_policy_alone_even_without_a_guard(trajectory_file: Path) -> None:

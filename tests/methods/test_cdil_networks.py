@@ -3,8 +3,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from plp_lightning.methods.cdil.networks import Pace, TaskNetwork, Translator
-from plp_lightning.networks import with_frozen_parameters
+from plp_lightning.methods.cdil.policy import Pace, Translator
+from plp_lightning.networks import TaskNetwork, with_frozen_parameters
 
 
 def gradients(loss: Tensor, module: nn.Module) -> float:

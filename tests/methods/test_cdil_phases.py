@@ -17,9 +17,9 @@ from datamodules.types import Batch, BatchSpec
 from plp_lightning.cli.config import parse
 from plp_lightning.methods import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions, Phase
 from plp_lightning.methods.cdil.alignment import CdilWeights
-from plp_lightning.methods.cdil.networks import TaskNetwork
 from plp_lightning.methods.cdil.phases import CdilPhase
 from plp_lightning.methods.optimization import slowed
+from plp_lightning.networks import TaskNetwork
 
 OVERLAY = ["--config", str(ROOT / "configs" / "methods" / "cdil.yaml")]
 PHASES = (CdilPositions, CdilAlignment, CdilDynamics, CdilAdaptation)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from plp_lightning.methods.translation.feature_points import SpatialEncoder
+from plp_lightning.methods.translation import SpatialEncoder
 
 
 def test_points_are_expected_places_of_a_softmax_over_pixels() -> None:

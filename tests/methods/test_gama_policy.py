@@ -10,8 +10,8 @@ from torch import Tensor
 
 from datamodules import settings
 from datamodules.types import Observation
-from plp_lightning.methods.gama.networks import TargetDynamics, TransitionDiscriminator
-from plp_lightning.methods.gama.policy import GamaPolicy
+from plp_lightning.methods.gama.phases import TransitionDiscriminator
+from plp_lightning.methods.gama.policy import GamaPolicy, TargetDynamics
 from plp_lightning.networks import with_frozen_parameters
 
 SOURCE, TARGET = tiny.spec("small", 3, 2), tiny.spec("large", 7, 5)

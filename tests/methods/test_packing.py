@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plp_lightning.methods.contextual.packing import Packing
+from plp_lightning.methods.contextual.frames import Packing
 
 
 def packing(lengths: list[int], order: torch.Tensor | None = None) -> Packing:

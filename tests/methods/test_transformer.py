@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from plp_lightning.methods.contextual.packing import Packing
+from plp_lightning.methods.contextual.frames import Packing
 from plp_lightning.methods.contextual.transformer import (
     FIRST_ROOM,
     Attention,

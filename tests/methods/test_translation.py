@@ -16,9 +16,7 @@ from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.losses import reconstruction
 from plp_lightning.methods import CdilPolicy, GamaPolicy
-from plp_lightning.methods.translation.cached_features import CachedFeatures
-from plp_lightning.methods.translation.perception import PointReconstruction
-from plp_lightning.methods.translation.policy import TranslatingPolicy
+from plp_lightning.methods.translation import CachedFeatures, PointReconstruction, TranslatingPolicy
 
 TASKS = ("reach", "push", "lift")
 BLIND = tiny.spec("blind", 3, 2)

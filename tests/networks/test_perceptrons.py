@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import nn
 
-from plp_lightning.methods.plp.networks import CommonPolicy, DomainDiscriminator
-from plp_lightning.networks import ActionDecoder, StateEncoder, mlp, with_frozen_parameters
+from plp_lightning.methods.plp.terms import DomainDiscriminator
+from plp_lightning.networks import ActionDecoder, StateEncoder, TaskNetwork, mlp, with_frozen_parameters
 
 
 def count(module: nn.Module) -> int:
@@ -27,13 +27,13 @@ def test_an_mlp_is_hidden_gelu_layers_and_one_linear_layer(layers: int) -> None:
 def test_sizes_by_hand() -> None:
     assert count(mlp(5, 7, 3, 2)) == (5 * 7 + 7) + 2 * (7 * 7 + 7) + (7 * 2 + 2)
     assert count(StateEncoder(6, 8, 16, 2)) == (6 * 16 + 16) + (16 * 16 + 16) + (16 * 8 + 8)
-    assert count(CommonPolicy(8, 5, 16, 1)) == (13 * 16 + 16) + (16 * 8 + 8)
+    assert count(TaskNetwork(8, 5, 8, 16, 1)) == (13 * 16 + 16) + (16 * 8 + 8)
     assert count(ActionDecoder(8, 3, 2, 16, 1)) == (11 * 16 + 16) + (16 * 2 + 2)
     assert count(DomainDiscriminator(8, 3, 16, 1)) == (8 * 16 + 16) + (16 * 3 + 3)
 
 
 def test_the_common_policy_sees_the_task_one_hot() -> None:
-    common = CommonPolicy(4, tasks=3, hidden=8, layers=1)
+    common = TaskNetwork(4, tasks=3, outputs=4, hidden=8, layers=1)
     latent = torch.randn(3, 4)
     by_hand = common.net(torch.cat([latent, torch.eye(3)[[2, 0, 1]]], dim=1))
     torch.testing.assert_close(common(latent, torch.tensor([2, 0, 1])), by_hand)

@@ -7,7 +7,7 @@ import torch
 
 from datamodules.batches.normalization import CLIP, Scaling, Statistics
 from datamodules.errors import ConfigError
-from plp_lightning.networks.scaling import InputScaler
+from plp_lightning.networks import InputScaler
 
 SMALL, LARGE = tiny.spec("small", 3, 2), tiny.spec("large", 6, 4)
 STATISTICS = {"small": tiny.statistics(SMALL, 1), "large": tiny.statistics(LARGE, 2)}

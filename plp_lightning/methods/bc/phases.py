@@ -9,7 +9,6 @@ from torch import Tensor
 from datamodules.errors import ConfigError
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec
-from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.bc.policy import BCPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase
@@ -23,9 +22,8 @@ class BCCloning(Phase[BCPolicy]):
         bc_reduction: Over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
-        domains: Whose demonstrations are learnt; of all domains if not given. One alone tells whether its
-            demonstrations can be cloned.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        domains: Domains whose demonstrations are learnt, all if not given. One alone tells whether they can be cloned.
 
     Raises:
         ConfigError: If there is no such domain.
@@ -53,17 +51,10 @@ class BCCloning(Phase[BCPolicy]):
         return batch._replace(steps={d: s for d, s in batch.steps.items() if d in self.learnt})
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Behavioural-cloning loss on held-out trajectories, for each domain that is learnt."""
         super().validation_step(self._learnt_part(batch), batch_idx)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """The loss of one batch."""
-        steps = self._learnt_part(batch).steps
-        action = {domain: s.action for domain, s in steps.items()}
-        loss = behavioural_cloning(self.predict(steps), action, self.bc_reduction)
-        if self.logs_now:
-            self.log_parts({"bc": loss}, sum(len(part) for part in action.values()))
-        return loss
+        return super().training_step(self._learnt_part(batch), batch_idx)
 
 
 class BCAdaptation(BCCloning):
@@ -74,7 +65,7 @@ class BCAdaptation(BCCloning):
         bc_reduction: Over action dimensions: ``mean`` or ``sum``.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec("mix")

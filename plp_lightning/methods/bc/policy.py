@@ -1,4 +1,4 @@
-"""BC: one flat policy digests state, domain and task at once; nothing in it is shared on purpose or aligned."""
+"""BC: one flat policy, in which nothing is shared on purpose or aligned."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.settings import NonNegativeFloat, PositiveInt
 from plp_lightning.methods.policy import Observations, Parts, Policy
-from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoding, InputScaler, Sharing
+from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoding, InputScaler, Sharing, split_by_domain
 from plp_lightning.networks.vision import encode_images, image_shape
 
 
@@ -24,12 +24,12 @@ class BCPolicy(Policy):
         hidden: Units in every hidden layer.
         layers: Hidden layers.
         gradient_floor: Least slope of the final tanh in the backward pass; 0 is the plain tanh.
-        columns: Of states and actions: each domain's ``own``, or ``shared`` by all.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        columns: Columns of states and actions: each domain's ``own``, or ``shared`` by all.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:
-        ConfigError: If a size is wrong, or the domains' images differ in shape.
+        ConfigError: If the domains' images differ in shape.
     """
 
     def __init__(
@@ -53,12 +53,11 @@ class BCPolicy(Policy):
         self.net = ActionDecoder(len(problem.tasks), seen, self.actions.width, hidden, layers, gradient_floor)
 
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
-        """π(s, d, k): actions ``(B_d, A_d)`` by domain, in one pass for all of them."""
-        state = self.states.join({d: self.scaler(obs.state, d) for d, obs in observation.items()})
+        scaled = {domain: self.scaler(seen.state, domain) for domain, seen in observation.items()}
+        state = self.states.join(scaled)
         if self.image_encoder is not None:
             state = torch.cat([state, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
         wanted = torch.cat([task[domain] for domain in observation])
         one_hot = nn.functional.one_hot(wanted, len(self.tasks)).to(state.dtype)
-        joined = self.net(one_hot, state)
-        parts = joined.split([len(obs.state) for obs in observation.values()])
-        return {d: self.actions.take(part, d) for d, part in zip(observation, parts, strict=True)}
+        actions = split_by_domain(self.net(one_hot, state), scaled)
+        return {domain: self.actions.take(action, domain) for domain, action in actions.items()}

@@ -9,24 +9,23 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.settings import Configured, NonNegativeFloat, PositiveInt
-from datamodules.types import Batch, BatchSpec, Steps
-from plp_lightning.losses.r1_penalty import r1_penalty
+from datamodules.types import Batch, BatchSpec
+from plp_lightning.losses import r1_penalty
 from plp_lightning.methods.cdil.losses import (
     cycle,
     position_gap,
     translation_discriminator_loss,
     translation_generator_loss,
 )
-from plp_lightning.methods.cdil.networks import OTHER, Role, TaskNetwork
 from plp_lightning.methods.cdil.phases import CdilPhase
-from plp_lightning.methods.cdil.policy import CdilPolicy
+from plp_lightning.methods.cdil.policy import OTHER, CdilPolicy, Role
 from plp_lightning.methods.optimization import FusedAdamW, LinearDecay, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.translation.cached_features import CachedFeatures
-from plp_lightning.networks import with_frozen_parameters
+from plp_lightning.methods.translation import CachedFeatures
+from plp_lightning.networks import TaskNetwork, with_frozen_parameters
 
 
-class StatePairs(NamedTuple):
-    """Steps of one domain as pairs of states, the form in which they are translated."""
+class RoundTrip(NamedTuple):
+    """Steps of one domain as pairs of states, translated into the other domain, and the first of each pair back."""
 
     states: Tensor
     """States and those after them, ``(2, B, O)``."""
@@ -34,19 +33,14 @@ class StatePairs(NamedTuple):
     """``(B,)``."""
     shared: Tensor
     """``(B,)``: 1 where both domains have demonstrations of the task, 0 else."""
-
-
-class RoundTrip(NamedTuple):
-    """States that were translated into the other domain, and the first of each two back."""
-
     latent: Tensor
-    """Of the first states, ``(B, Z)``."""
+    """Latent states of the first, ``(B, Z)``."""
     abroad: Tensor
-    """In the other domain, ``(2, B, O')``."""
+    """States in the other domain, ``(2, B, O')``."""
     latent_abroad: Tensor
-    """Of the first of those, ``(B, Z)``."""
+    """Latent states of the first of those, ``(B, Z)``."""
     home: Tensor
-    """Back again, ``(B, O)``."""
+    """First states, back again, ``(B, O)``."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +48,10 @@ class CdilWeights(Configured):
     """Weights of the translation's losses.
 
     Args:
-        adversarial: Of the translator's loss against the discriminators.
-        cycle: Of the cycle x → y → x, and its mirror image.
-        latent: Of the latent cycle.
-        position: Of the consistency of temporal positions.
+        adversarial: Weight of the translator's loss against the discriminators.
+        cycle: Weight of the cycle x → y → x, and its mirror image.
+        latent: Weight of the latent cycle.
+        position: Weight of the consistency of temporal positions.
         penalty: γ of the penalty on the discriminators' slopes, so that they can't become certain.
     """
 
@@ -79,7 +73,7 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
 
     Args:
         policy: The policy with trained position models.
-        weights: Of the losses.
+        weights: Weights of the losses.
         noise: Deviation of Gaussian noise on what discriminators see, real or not. Two states that follow each other
             obey the physics to the last digit, and translated ones never do: without noise that gives them away, and
             the discriminators have nothing to teach.
@@ -88,7 +82,7 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         discriminator_lr: Learning rate of the discriminators; that of the translator if not given.
         epochs: Passes over all data that there is.
         optimizer: Makes the optimizer of all players.
-        lr_scheduler: Makes what changes the learning rates; players who never slow down go on circling around each
+        lr_scheduler: Makes the schedule of the learning rates; players who never slow down go on circling around each
             other.
     """
 
@@ -127,7 +121,6 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         ]
 
     def on_fit_start(self) -> None:
-        """Perceive every step, measure how fast states change, note which tasks are demonstrated in both domains."""
         super().on_fit_start()
         for domain, role in self.policy.roles.items():
             self.policy.pace.fit(self.usual_change(domain), role)
@@ -135,56 +128,49 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         self.shared.copy_(torch.tensor([float(task in proxy_tasks) for task in self.policy.tasks]))
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """All terms, each the sum of both directions."""
-        steps, trips = self._travel(batch)
-        return self._total(self._consistency(steps, trips)) | self._total(self._contest(steps, trips))
+        trips = self._travel(batch)
+        return self._total(self._consistency(trips)) | self._total(self._contest(trips))
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
-        """The terms that can be compared between epochs, since no discriminator has a say in them."""
-        return self._total(self._consistency(*self._travel(batch)))
+        # Only terms that can be compared between epochs, since no discriminator has a say in them.
+        return self._total(self._consistency(self._travel(batch)))
 
-    def _travel(self, batch: Batch) -> tuple[dict[Role, StatePairs], dict[Role, RoundTrip]]:
-        steps = {self.policy.roles[domain]: self._steps_of(found, domain) for domain, found in batch.steps.items()}
-        return steps, {role: self._round_trip(found.states, role) for role, found in steps.items()}
-
-    def _steps_of(self, steps: Steps, domain: str) -> StatePairs:
-        states = torch.stack(self.before_and_after(domain, steps.row))
-        return StatePairs(states, steps.task, self.shared[steps.task])
-
-    def _round_trip(self, states: Tensor, role: Role) -> RoundTrip:
-        there = self.policy.translator(states, role)
-        back = self.policy.translator(there.state[0], OTHER[role])
-        return RoundTrip(there.latent[0], there.state, back.latent, back.state)
+    def _travel(self, batch: Batch) -> dict[Role, RoundTrip]:
+        trips = {}
+        for domain, found in batch.steps.items():
+            role, shared = self.policy.roles[domain], self.shared[found.task]
+            states = torch.stack(self.before_and_after(domain, found.row))
+            there = self.policy.translator(states, role)
+            back = self.policy.translator(there.state[0], OTHER[role])
+            trips[role] = RoundTrip(states, found.task, shared, there.latent[0], there.state, back.latent, back.state)
+        return trips
 
     def _total(self, directions: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
         both = [*directions]
         return {name: self.weights[name] * torch.stack([terms[name] for terms in both]).sum() for name in both[0]}
 
-    def _consistency(
-        self, steps: Mapping[Role, StatePairs], trips: Mapping[Role, RoundTrip]
-    ) -> Iterator[dict[str, Tensor]]:
+    def _consistency(self, trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
         """Terms that hold for each domain by itself."""
-        for role, trip in trips.items():
+        for role, own in trips.items():
+            here = self.policy.position(own.states[0], own.task, role).detach()
+            there = self.policy.position(own.abroad[0], own.task, OTHER[role])
             yield {
-                "cycle": cycle(steps[role].states[0], trip.home),
-                "latent": cycle(trip.latent, trip.latent_abroad),
-                "position": self._position_gap(steps[role], trip, role),
+                "cycle": cycle(own.states[0], own.home),
+                "latent": cycle(own.latent, own.latent_abroad),
+                "position": position_gap(here, there, own.shared),
             }
 
-    def _contest(
-        self, steps: Mapping[Role, StatePairs], trips: Mapping[Role, RoundTrip]
-    ) -> Iterator[dict[str, Tensor]]:
-        """What the translator and the discriminators lose, in each domain that is translated into."""
-        for role, trip in trips.items():
-            own, real = steps[role], steps[OTHER[role]]
-            judge, made = self._judge(OTHER[role]), self.policy.pace(*trip.abroad, OTHER[role])
+    def _contest(self, trips: Mapping[Role, RoundTrip]) -> Iterator[dict[str, Tensor]]:
+        """Losses of the translator and of the discriminators, in each domain that is translated into."""
+        for role, own in trips.items():
+            real, judge = trips[OTHER[role]], self.discriminators[OTHER[role]]
+            made = self.policy.pace(*own.abroad, OTHER[role])
             found = self._blur(self.policy.pace(*real.states, OTHER[role])).requires_grad_()
             real_judged = judge(found, real.task)[:, 0]
             made_judged = judge(self._blur(made.detach()), own.task)[:, 0]
+            passing = with_frozen_parameters(judge)(self._blur(made), own.task)[:, 0]
             yield {
-                "adversarial": translation_generator_loss(
-                    with_frozen_parameters(judge)(self._blur(made), own.task)[:, 0], own.shared
-                ),
+                "adversarial": translation_generator_loss(passing, own.shared),
                 "discriminator": translation_discriminator_loss(real_judged, made_judged, real.shared, own.shared),
                 "penalty": r1_penalty(real_judged, found, real.shared),
             }
@@ -192,12 +178,3 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
     def _blur(self, pairs: Tensor) -> Tensor:
         """Instance noise: "Amortised MAP Inference for Image Super-resolution" (https://arxiv.org/abs/1610.04490)."""
         return pairs + self.noise * torch.randn_like(pairs)
-
-    def _judge(self, role: Role) -> TaskNetwork:
-        judge = self.discriminators[role]
-        assert isinstance(judge, TaskNetwork)
-        return judge
-
-    def _position_gap(self, own: StatePairs, trip: RoundTrip, role: Role) -> Tensor:
-        here = self.policy.position(own.states[0], own.task, role).detach()
-        return position_gap(here, self.policy.position(trip.abroad[0], own.task, OTHER[role]), own.shared)

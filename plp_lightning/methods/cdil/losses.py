@@ -1,27 +1,29 @@
-"""Translation of states between two domains: adversarial, cycle and position consistency."""
+"""Translation of states between two domains: adversarial, cycle and position consistency.
+
+CycleGAN is "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
+(https://arxiv.org/abs/1703.10593), LSGAN "Least Squares Generative Adversarial Networks"
+(https://arxiv.org/abs/1611.04076).
+"""
 
 from __future__ import annotations
 
 from torch import Tensor
 
-from plp_lightning.losses.weighted_mean import weighted_mean
+from plp_lightning.losses import weighted_mean
 
 
 def translation_discriminator_loss(real: Tensor, made: Tensor, real_weight: Tensor, made_weight: Tensor) -> Tensor:
-    r"""The discriminator's least-squares loss: real samples shall be judged 1, translated ones 0.
+    r"""The discriminator's least-squares loss, a scalar: real samples shall be judged 1, translated ones 0.
 
     .. math:: L_D = \frac{1}{2} \left( \mathbb{E} (D(x) - 1)^2 + \mathbb{E} D(\Psi(y))^2 \right)
 
-    See "Least Squares Generative Adversarial Networks" (https://arxiv.org/abs/1611.04076), Eq. 2 with a = 0, b = 1.
+    See LSGAN, Eq. 2 with a = 0, b = 1.
 
     Args:
         real: Judgements ``(B,)`` of samples of the domain itself.
         made: Judgements ``(B',)`` of samples that were translated into the domain.
         real_weight: ``(B,)``, at least 0; samples of weight 0 don't count.
         made_weight: ``(B',)``.
-
-    Returns:
-        Scalar.
 
     Example:
         >>> one = torch.ones(1)
@@ -32,20 +34,15 @@ def translation_discriminator_loss(real: Tensor, made: Tensor, real_weight: Tens
 
 
 def translation_generator_loss(made: Tensor, weight: Tensor) -> Tensor:
-    r"""The translator's least-squares loss: what it makes shall be judged 1.
+    r"""The translator's least-squares loss, a scalar: translated samples shall be judged 1.
 
     .. math:: L_G = \mathbb{E} (D(\Psi(y)) - 1)^2
 
-    See "Least Squares Generative Adversarial Networks" (https://arxiv.org/abs/1611.04076), Eq. 2 with c = 1, and
-    "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
-    (https://arxiv.org/abs/1703.10593), Section 4, which leaves out the factor 1/2.
+    See LSGAN, Eq. 2 with c = 1, and CycleGAN, Section 4, which leaves out the factor 1/2.
 
     Args:
         made: Judgements ``(B,)`` of translated samples, by a discriminator whose parameters are held fixed.
         weight: ``(B,)``.
-
-    Returns:
-        Scalar.
 
     Example:
         >>> translation_generator_loss(torch.tensor([0.0, 1.0]), torch.ones(2))
@@ -55,20 +52,16 @@ def translation_generator_loss(made: Tensor, weight: Tensor) -> Tensor:
 
 
 def cycle(original: Tensor, returned: Tensor) -> Tensor:
-    r"""Absolute difference of what was left and what was come back to, mean over numbers and samples.
+    r"""Absolute difference of originals and their returns, a scalar, the mean over numbers and samples.
 
     .. math:: L_{cyc} = \mathbb{E}_x \| \Psi(\Phi(x)) - x \|_1 / O
 
-    See "Unpaired Image-to-Image Translation using Cycle-Consistent Adversarial Networks"
-    (https://arxiv.org/abs/1703.10593), Eq. 2; the mean over dimensions is that of its authors' code. The same
-    serves the latent cycle ``E_x(x)`` and ``E_y(Φ(x))``.
+    See CycleGAN, Eq. 2; the mean over dimensions is that of its authors' code. The same serves the latent cycle
+    ``E_x(x)`` and ``E_y(Φ(x))``.
 
     Args:
         original: ``(..., O)``.
-        returned: Same shape.
-
-    Returns:
-        Scalar.
+        returned: ``(..., O)``.
 
     Example:
         >>> cycle(torch.tensor([[1.0, 2.0]]), torch.tensor([[1.0, 0.0]]))
@@ -79,7 +72,7 @@ def cycle(original: Tensor, returned: Tensor) -> Tensor:
 
 
 def position_gap(here: Tensor, abroad: Tensor, weight: Tensor) -> Tensor:
-    r"""Squared difference of the temporal positions of a state and of its translation.
+    r"""Squared difference of the temporal positions of a state and of its translation, a scalar.
 
     .. math:: L_{pos} = \mathbb{E}_{(s,k)} \left( P_y(\Phi(s), k) - P_x(s, k) \right)^2
 
@@ -90,9 +83,6 @@ def position_gap(here: Tensor, abroad: Tensor, weight: Tensor) -> Tensor:
         here: Positions ``(B,)`` of states in their own domain, in [0, 1].
         abroad: Positions ``(B,)`` of their translations.
         weight: ``(B,)``; 0 where the task has no position model in the other domain.
-
-    Returns:
-        Scalar.
 
     Example:
         >>> position_gap(torch.tensor([0.0, 0.5]), torch.tensor([1.0, 0.5]), torch.ones(2))

@@ -9,18 +9,23 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datamodules.settings import PositiveInt
-from datamodules.types import Batch, BatchSpec, Steps
-from plp_lightning.losses.weighted_mean import weighted_mean
-from plp_lightning.methods.cdil.networks import Role
+from datamodules.types import Batch, BatchSpec
+from plp_lightning.losses import weighted_mean
 from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.translation.cached_features import CachedFeatures
-from plp_lightning.methods.translation.perception import PointReconstruction
+from plp_lightning.methods.phase import Phase, step_count
+from plp_lightning.methods.translation import CachedFeatures, PointReconstruction
 
 
 class CdilPhase(Phase[CdilPolicy]):
-    """What the phases of CDIL share: parts of the policy that are frozen by name, and held-out losses of their own."""
+    """A phase of CDIL: it freezes parts of the policy by name, and has held-out losses of its own.
+
+    Args:
+        policy: The policy to train.
+        epochs: Passes over the proxy data of both domains.
+        optimizer: Makes the optimizer.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+    """
 
     trains = CdilPolicy
     monitor = "val/loss"
@@ -28,41 +33,42 @@ class CdilPhase(Phase[CdilPolicy]):
     parts_trained: tuple[str, ...] = ()
     """Names of the policy's parts that this phase trains."""
 
+    def __init__(
+        self,
+        policy: CdilPolicy,
+        epochs: PositiveInt = 10,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = None,
+    ) -> None:
+        super().__init__(policy, epochs, optimizer, lr_scheduler)
+
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """All parts of the policy but those that are trained here."""
         return {name: part for name, part in self.policy.named_children() if name not in self.parts_trained}
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """What is minimised, by name, weights applied."""
+        """Scalars that are minimised, by name, weights applied."""
         raise NotImplementedError
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
-        """What tells how good the phase's result is, by name; nothing if the batch says nothing about it."""
+        """Scalars that tell how good the phase's result is, by name; none if the batch says nothing about it."""
         return self.losses(batch)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Sum of the losses."""
         parts = self.losses(batch)
         total = torch.stack([*parts.values()]).sum()
-        if self.logs_now:
-            self.log_parts(parts | {"loss": total}, _size(batch))
+        self.log_parts(parts | {"loss": total}, step_count(batch.steps))
         return total
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Losses on held-out trajectories, and their sum as ``val/loss``."""
         parts = self.held_out_losses(batch)
         total = {"loss": torch.stack([*parts.values()]).sum()} if parts else {}
         for name, value in (parts | total).items():
-            self.log(f"val/{name}", value, batch_size=_size(batch), on_epoch=True)
-
-    def by_role(self, batch: Batch) -> dict[Role, Steps]:
-        """A batch's steps, by what their domain is here."""
-        return {self.policy.roles[domain]: steps for domain, steps in batch.steps.items()}
+            self.log(f"val/{name}", value, batch_size=step_count(batch.steps), on_epoch=True)
 
 
 class CdilPositions(CdilPhase):
-    """Temporal position models: which share of its trajectory lies behind a state (CDIL's first step).
+    """Temporal position models: the share of its trajectory that lies behind a state (CDIL's first step).
 
     ``P_d(s, k)`` is regressed to t / T by squared error, for proxy tasks in either domain. Since many tasks pass
     through the same state, the models see the task; whether the authors' do could not be read. Feature points of
@@ -73,7 +79,7 @@ class CdilPositions(CdilPhase):
         reconstruction_hidden: Units of the image decoders' hidden layer.
         epochs: Passes over the proxy data.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec(progress=True)
@@ -92,59 +98,40 @@ class CdilPositions(CdilPhase):
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """All parts of the policy but those that are trained here; of perception, the scaling."""
         return super().frozen | {"scaler": self.policy.perception.scaler}
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """Squared error of positions, mean over the steps of both domains, and of images where there are cameras."""
         steps = batch.steps
         states = {domain: self.policy.features(domain, found.observation) for domain, found in steps.items()}
-        errors = [self._errors(found, states[domain].detach(), domain) for domain, found in steps.items()]
+        errors = []
+        for domain, found in steps.items():
+            position = self.policy.position(states[domain].detach(), found.task, self.policy.roles[domain])
+            assert found.progress is not None, "batch_spec asks for it"
+            errors.append((position - found.progress).square())
         return {"position": torch.cat(errors).mean()} | self.redrawing.losses(states, steps)
-
-    def _errors(self, steps: Steps, state: Tensor, domain: str) -> Tensor:
-        position = self.policy.position(state, steps.task, self.policy.roles[domain])
-        assert steps.progress is not None, "batch_spec asks for it"
-        return (position - steps.progress).square()
 
 
 class CdilDynamics(CdilPhase, CachedFeatures[CdilPolicy]):
-    """Inverse dynamics of the target domain: which action leads from a state to the next (CDIL's third step).
+    """Inverse dynamics of the target domain: the action that leads from a state to the next (CDIL's third step).
 
-    ``I(s, s')`` is regressed to the expert's action by squared error, on proxy tasks in the target domain.
-
-    Args:
-        policy: The policy to train.
-        epochs: Passes over the proxy data, of both domains as batches have it; the source's go unused.
-        optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+    ``I(s, s')`` is regressed to the expert's action by squared error, on proxy tasks in the target domain. Batches hold
+    steps of the source domain too, which go unused. Arguments are those of :class:`CdilPhase`.
     """
 
     batch_spec = BatchSpec(images=False, next_observation=True)
     parts_trained = ("inverse_dynamics",)
 
-    def __init__(
-        self,
-        policy: CdilPolicy,
-        epochs: PositiveInt = 10,
-        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
-        lr_scheduler: SchedulerFactory | None = None,
-    ) -> None:
-        super().__init__(policy, epochs, optimizer, lr_scheduler)
-
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """Squared error of the target's actions, mean over their dimensions and steps."""
         steps = batch.steps[self.policy.target]
         inferred = self.policy.infer(*self.before_and_after(self.policy.target, steps.row))
         return {"inverse_dynamics": functional.mse_loss(inferred, steps.action)}
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
-        """The same, where there are steps of the target domain."""
         return self.losses(batch) if self.policy.target in batch.steps else {}
 
 
 class Imagined(NamedTuple):
-    """What the source's N steps would be in the target domain."""
+    """The source's N steps, translated into the target domain."""
 
     state: Tensor
     """Target states ``(N, O_y)``."""
@@ -166,12 +153,13 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         policy: The policy with everything else trained.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec("mix", images=False, next_observation=True)
     policy_acts = True
     parts_trained = ("clones",)
+    imagined: Imagined | None = None
 
     def __init__(
         self,
@@ -181,15 +169,12 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
-        self.imagined: Imagined | None = None
 
     def on_fit_start(self) -> None:
-        """Perceive every step, and translate and label the source's trajectories."""
         super().on_fit_start()
         self.imagined = self._imagine()
 
     def on_validation_start(self) -> None:
-        """The same, if there was no training before."""
         super().on_validation_start()
         self.imagined = self.imagined or self._imagine()
 
@@ -203,34 +188,20 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         return Imagined(now, policy.infer(now, following), wanted.float().to(self.device))
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """Squared errors of the clones' actions, mean over action dimensions and steps."""
-        found, steps = {}, self.by_role(batch)
         assert self.imagined is not None, "the source's trajectories are translated before the first batch"
-        if "source" in steps:
-            state = self.states[self.policy.source][steps["source"].row]
-            clone = self.policy.clone(state, steps["source"].task, "source")
-            found["bc_source"] = functional.mse_loss(clone, steps["source"].action)
-        state, action, task, weight = self._lessons(steps, self.imagined)
+        lessons, found = [], {}
+        if self.policy.source in batch.steps:
+            own, seen = batch.steps[self.policy.source], self.imagined
+            clone = self.policy.clone(self.states[self.policy.source][own.row], own.task, "source")
+            found["bc_source"] = functional.mse_loss(clone, own.action)
+            lessons.append((seen.state[own.row], seen.action[own.row], own.task, seen.weight[own.row]))
+        if self.policy.target in batch.steps:
+            own = batch.steps[self.policy.target]
+            state = self.states[self.policy.target][own.row]
+            lessons.append((state, own.action, own.task, torch.ones_like(state[:, 0])))
+        state, action, task, weight = (torch.cat(column) for column in zip(*lessons, strict=True))
         error = (self.policy.clone(state, task, "target") - action).square().mean(-1)
         return {"bc_target": weighted_mean(error, weight), **found}
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
-        """That of the method's result: the target's clone, on imagined demonstrations of the target task."""
         return {"bc_target": self.losses(batch)["bc_target"]}
-
-    def _lessons(self, steps: dict[Role, Steps], imagined: Imagined) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """States, actions, tasks and weights of what the target's clone learns from in this batch."""
-        parts = []
-        if "source" in steps:
-            row = steps["source"].row
-            parts.append((imagined.state[row], imagined.action[row], steps["source"].task, imagined.weight[row]))
-        if "target" in steps:
-            own = steps["target"]
-            state = self.states[self.policy.target][own.row]
-            parts.append((state, own.action, own.task, torch.ones_like(state[:, 0])))
-        state, action, task, weight = (torch.cat(column) for column in zip(*parts, strict=True))
-        return state, action, task, weight
-
-
-def _size(batch: Batch) -> int:
-    return sum(len(steps.action) for steps in batch.steps.values())

@@ -2,15 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+import torch
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.settings import PositiveInt
-from plp_lightning.methods.cdil.networks import Pace, Role, TaskNetwork, Translator
 from plp_lightning.methods.policy import Observations, Parts
-from plp_lightning.methods.translation.policy import TranslatingPolicy
-from plp_lightning.networks import mlp
+from plp_lightning.methods.translation import TranslatingPolicy
+from plp_lightning.networks import TaskNetwork, mlp
+
+Role = Literal["source", "target"]
+"""Part that a domain plays here, whatever its name."""
+OTHER: Mapping[Role, Role] = {"source": "target", "target": "source"}
+
+
+class Translation(NamedTuple):
+    """A state on its way to the other domain."""
+
+    latent: Tensor
+    """In the latent space that both domains share, ``(..., Z)``."""
+    state: Tensor
+    """In the other domain, ``(..., O)`` of that domain."""
+
+
+class Translator(nn.Module):
+    """Φ: x → y and Ψ: y → x, each an encoder of the domain that is left and a decoder of the one that is entered.
+
+    ``sizes`` are O of either domain, ``latent`` is Z, the size of the latent space that both share.
+    """
+
+    def __init__(
+        self, sizes: Mapping[Role, int], latent: int, hidden: int, encoder_layers: int, decoder_layers: int
+    ) -> None:
+        super().__init__()
+        self.encoders = nn.ModuleDict({role: mlp(n, hidden, encoder_layers, latent) for role, n in sizes.items()})
+        self.decoders = nn.ModuleDict({role: mlp(latent, hidden, decoder_layers, n) for role, n in sizes.items()})
+
+    def forward(self, state: Tensor, role: Role) -> Translation:
+        """States ``(..., O)`` of the domain ``role`` → those of the other domain."""
+        latent: Tensor = self.encoders[role](state)
+        return Translation(latent, self.decoders[OTHER[role]](latent))
+
+
+class Pace(nn.Module):
+    """Usual change of each state column in a step, by which a step can be told from a standstill.
+
+    Two states that follow each other differ by a hundredth of what two states of a trajectory differ by. A network
+    that gets both side by side sees the same state twice; changes are put beside the first state in units of their own.
+    """
+
+    source: Tensor
+    target: Tensor
+
+    def __init__(self, sizes: Mapping[Role, int]) -> None:
+        super().__init__()
+        for role, size in sizes.items():
+            self.register_buffer(role, torch.ones(size))
+
+    def fit(self, unit: Tensor, role: Role) -> None:
+        """Takes ``unit (O,)``, the usual change of each column in a step."""
+        getattr(self, role).copy_(unit)
+
+    def forward(self, now: Tensor, following: Tensor, role: Role) -> Tensor:
+        """Scaled states ``(..., O)`` twice → the first and the change, ``(..., 2 O)``."""
+        unit: Tensor = getattr(self, role)
+        return torch.cat([now, (following - now) / unit], dim=-1)
 
 
 class CdilPolicy(TranslatingPolicy):
@@ -27,12 +87,8 @@ class CdilPolicy(TranslatingPolicy):
         encoder_layers: Hidden layers of the translation's encoders.
         policy_layers: Hidden layers of position models, inverse dynamics and clones.
         decoder_layers: Hidden layers of the translation's decoders.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
-            the policy is blind: it leaves images aside.
-
-    Raises:
-        ConfigError: If there are not two domains, or a size is wrong.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
+        image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
 
     def __init__(
@@ -62,9 +118,7 @@ class CdilPolicy(TranslatingPolicy):
         )
 
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
-        """The clones' actions."""
-        states = {domain: self.features(domain, seen) for domain, seen in observation.items()}
-        return {domain: self.clone(state, task[domain], self.roles[domain]) for domain, state in states.items()}
+        return {d: self.clone(self.features(d, seen), task[d], self.roles[d]) for d, seen in observation.items()}
 
     def encode(self, observation: Observations) -> dict[str, Tensor]:
         """States of the target domain ``(B_d, O_y)``: its own, and those that Φ makes of the source's."""
@@ -78,15 +132,12 @@ class CdilPolicy(TranslatingPolicy):
 
     def clone(self, state: Tensor, task: Tensor, role: Role) -> Tensor:
         """π: states ``(B, O)`` and tasks ``(B,)`` → actions ``(B, A)``."""
-        action: Tensor = self.clones[role](state, task)
-        return action.tanh()
+        return torch.tanh(self.clones[role](state, task))
 
     def position(self, state: Tensor, task: Tensor, role: Role) -> Tensor:
         """P: states ``(B, O)`` and tasks ``(B,)`` → share of the trajectory that lies behind, ``(B,)``."""
-        position: Tensor = self.positions[role](state, task)
-        return position.squeeze(-1).sigmoid()
+        return torch.sigmoid(self.positions[role](state, task).squeeze(-1))
 
     def infer(self, now: Tensor, following: Tensor) -> Tensor:
         """I: two target states ``(B, O_y)``, one after the other → the action in between, ``(B, A_y)``."""
-        action: Tensor = self.inverse_dynamics(self.pace(now, following, "target"))
-        return action.tanh()
+        return torch.tanh(self.inverse_dynamics(self.pace(now, following, "target")))

@@ -26,7 +26,7 @@ class ContextualCloning(Phase[ContextualPolicy]):
         policy: The policy to train.
         epochs: Passes over as many pairs as the target domain has trajectories.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     trains = ContextualPolicy
@@ -42,19 +42,15 @@ class ContextualCloning(Phase[ContextualPolicy]):
         self.batch_spec = BatchSpec("none", pairs="whole", images=policy.sees)
 
     def on_fit_start(self) -> None:
-        """Put a demonstration of each task aside."""
         data: TransferDataModule = self.trainer.datamodule  # type: ignore[attr-defined]
         self.policy.prompts.choose(data.datasets[data.source_domain], prompt_episodes(data))
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Behavioural cloning of all steps of a batch of pairs."""
         loss, frames = self._loss(batch)
-        if self.logs_now:
-            self.log_parts({"bc": loss}, frames)
+        self.log_parts({"bc": loss}, frames)
         return loss
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """The same on held-out trajectories of the target domain."""
         loss, frames = self._loss(batch)
         for name in ("val/bc", f"val/bc_{self.policy.target.name}"):
             self.log(name, loss, batch_size=frames, on_epoch=True)
@@ -69,13 +65,10 @@ class ContextualCloning(Phase[ContextualPolicy]):
 
 
 def prompt_episodes(data: TransferDataModule) -> dict[int, int]:
-    """By task index, the training demonstration of the source domain that stands for the task: of median length."""
-    length = np.diff(data.datasets[data.source_domain].offset)
-    found = {
-        task: data.episodes(data.source_domain, [task], "train") for task in (*data.proxy_tasks, *data.target_tasks)
-    }
-    return {
-        data.tasks.index(task): int(ids[np.argsort(length[ids], kind="stable")[len(ids) // 2]])
-        for task, ids in found.items()
-        if len(ids)
-    }
+    """Training demonstration of the source domain that stands for a task, by task index: one of median length."""
+    length, found = np.diff(data.datasets[data.source_domain].offset), {}
+    for task in (*data.proxy_tasks, *data.target_tasks):
+        ids = data.episodes(data.source_domain, [task], "train")
+        if len(ids):
+            found[data.tasks.index(task)] = int(ids[np.argsort(length[ids], kind="stable")[len(ids) // 2]])
+    return found

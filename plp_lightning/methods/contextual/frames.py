@@ -1,4 +1,7 @@
-"""What happened in one step, as a vector that a Transformer reads."""
+"""Frames, each the vector of one step that a Transformer reads.
+
+Sequences of different lengths are laid end to end, and padded only where their frames look at each other.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,46 @@ POSITION_SCALE = 0.02
 """Standard deviation of the positions in the beginning."""
 
 
+class Packing:
+    """Places of the frames of P sequences in one flat batch of F frames.
+
+    Work on each frame alone is done for F frames and no padding; only attention needs all sequences at one length T.
+
+    Args:
+        frame: ``(P, T)`` int64: number of the frame that is step t of sequence p; anything where ``mask`` is False.
+        mask: ``(P, T)`` bool: False behind the end of a sequence.
+        frames: F, passed so that no device is asked for it.
+    """
+
+    def __init__(self, frame: Tensor, mask: Tensor, frames: int) -> None:
+        self.mask = mask
+        places = torch.arange(mask.numel(), device=mask.device)
+        # One more place than there are frames takes what padding would write.
+        target = torch.where(mask, frame, frames).flatten()
+        self.place = places.new_empty(frames + 1).scatter_(0, target, places)[:frames]
+
+    @property
+    def time(self) -> Tensor:
+        """Step ``(F,)`` int64 of each frame in its sequence."""
+        return self.place % self.mask.shape[1]
+
+    def pad(self, x: Tensor) -> Tensor:
+        """``(F, W)`` → ``(P, T, W)``, zeros behind the ends."""
+        rows = x.new_zeros(self.mask.numel(), x.shape[1]).index_copy(0, self.place, x)
+        return rows.view(*self.mask.shape, -1)
+
+    def pack(self, x: Tensor) -> Tensor:
+        """``(P, T, W)`` → ``(F, W)``."""
+        return x.flatten(0, 1).index_select(0, self.place)
+
+
+def lay_out(mask: Tensor) -> Tensor:
+    """Numbers frames ``(P, T)`` from sequence to sequence and step to step; 0 where ``mask (P, T)`` is False."""
+    return torch.where(mask, mask.flatten().cumsum(0).view_as(mask) - 1, 0)
+
+
 class FrameEmbedding(nn.Module):
-    """State, image and, if wished, action of a step, and which step it is → W units; positions are learned.
+    """State, image and, if wished, action of a step, and the step's number → W units; positions are learned.
 
     Args:
         spec: The domain.
@@ -32,22 +73,14 @@ class FrameEmbedding(nn.Module):
     ) -> None:
         super().__init__()
         camera = spec.image_key if images.channels else None
-        shape = None if camera is None else camera.shape
-        self.image_encoder = None if shape is None else images.build(shape)
-        inputs = spec.state_size + actions + (0 if camera is None else images.features)
-        self.linear = nn.Linear(inputs, width)
+        self.image_encoder = None if camera is None else images.build(camera.shape)
+        self.linear = nn.Linear(spec.state_size + actions + (0 if camera is None else images.features), width)
         self.position = nn.Embedding(length, width)
         nn.init.normal_(self.position.weight, std=POSITION_SCALE)
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, observation: Observation[Tensor], time: Tensor, action: Tensor | None = None) -> Tensor:
-        """``(F, W)``.
-
-        Args:
-            observation: Scaled states ``(F, O)``, images ``(F, H, W, C)``.
-            time: ``(F,)`` int64, step within the sequence.
-            action: ``(F, A)``, where actions are seen.
-        """
+        """States ``(F, O)``, images ``(F, H, W, C)``, steps ``(F,)``, actions ``(F, A)`` if seen → ``(F, W)``."""
         parts = [observation.state] if action is None else [observation.state, action]
         if self.image_encoder is not None:
             assert observation.image is not None, "expected images"
@@ -57,8 +90,8 @@ class FrameEmbedding(nn.Module):
 
     def _encode_images(self, encoder: ImageEncoder, image: Tensor) -> Tensor:
         """Features ``(F, features)``; of many images the activations are computed again in the backward pass."""
-        if not torch.is_grad_enabled() or len(image) <= MOST_IMAGES:
-            features: Tensor = encoder(image)
-            return features
-        parts = [checkpoint(encoder, part, use_reentrant=False) for part in image.split(MOST_IMAGES)]
-        return torch.cat(parts)
+        if torch.is_grad_enabled() and len(image) > MOST_IMAGES:
+            parts = image.split(MOST_IMAGES)
+            return torch.cat([checkpoint(encoder, part, use_reentrant=False) for part in parts])
+        features: Tensor = encoder(image)
+        return features

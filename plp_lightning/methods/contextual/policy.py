@@ -1,8 +1,4 @@
-"""CONTEXTUAL: a Transformer that is shown a demonstration of the source domain and acts in the target domain.
-
-Its encoder reads the demonstration, its decoder the episode so far (paper, Section 5.2 and appendix). No task id
-goes in: what is to be done, the demonstration tells.
-"""
+"""CONTEXTUAL: a Transformer that is shown a demonstration of the source domain and acts in the target domain."""
 
 from __future__ import annotations
 
@@ -17,8 +13,7 @@ from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.settings import Fraction, PositiveInt
 from datamodules.types import Actor, DomainSpec, Observation, PackedTrajectories
-from plp_lightning.methods.contextual.frames import FrameEmbedding
-from plp_lightning.methods.contextual.packing import Packing
+from plp_lightning.methods.contextual.frames import FrameEmbedding, Packing, lay_out
 from plp_lightning.methods.contextual.prompts import Prompts
 from plp_lightning.methods.contextual.transformer import Cache, TransformerDecoder, TransformerEncoder
 from plp_lightning.methods.policy import Observations, Parts, Policy
@@ -29,7 +24,9 @@ MOST_ROWS = 256
 
 
 class ContextualPolicy(Policy):
-    """Acts in the target domain on what a demonstration of the source domain shows.
+    """Acts in the target domain on what a demonstration of the source domain shows (paper, Section 5.2 and appendix).
+
+    Its encoder reads the demonstration, its decoder the episode so far. No task id goes in: the demonstration tells it.
 
     Args:
         problem: Two domains, and tasks.
@@ -41,11 +38,11 @@ class ContextualPolicy(Policy):
         dropout: Share of units that training leaves out.
         max_length: Most steps of an episode or a demonstration. Of longer demonstrations the last steps are shown,
             of longer episodes the first are trained on.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_encoder: Sizes of either domain's image encoder; without channels the policy is blind.
 
     Raises:
-        ConfigError: If a size is wrong, or there are more than two domains.
+        ConfigError: If ``heads`` does not divide ``hidden``, or there are more than two domains.
     """
 
     def __init__(
@@ -76,15 +73,14 @@ class ContextualPolicy(Policy):
 
     @property
     def acts_in(self) -> tuple[str, ...]:
-        """The target domain: in the source domain it is only shown what to do."""
-        return (self.target.name,)
+        return (self.target.name,)  # in the source domain it is only shown what to do
 
     def forward(self, demonstrations: PackedTrajectories, episodes: PackedTrajectories) -> Tensor:
         """Actions ``(F, A)`` for all F frames of P episodes, each from what has been seen so far.
 
         Args:
-            demonstrations: Of the source domain, P; the p-th is what episode p was shown.
-            episodes: Of the target domain, P; their actions are not looked at.
+            demonstrations: P of the source domain; episode p was shown the p-th.
+            episodes: P of the target domain; their actions are not looked at.
         """
         shown, shown_packing = self.show(demonstrations)
         observation = episodes.observation
@@ -93,14 +89,14 @@ class ContextualPolicy(Policy):
         return self._act_on(self.decoder(x, packing, shown, shown_packing))
 
     def show(self, demonstrations: PackedTrajectories) -> tuple[Tensor, Packing]:
-        """What the encoder makes of demonstrations of the source domain: F frames ``(F, W)``, and how they lie."""
+        """Encodes demonstrations of the source domain: F frames ``(F, W)``, and their places."""
         observation = demonstrations.observation
         packing = Packing(demonstrations.frame, demonstrations.mask, len(observation.state))
         x = self.shown(self._scaled(observation, self.source), packing.time, demonstrations.action)
         return self.encoder(x, packing), packing
 
     def begin(self, task: Tensor) -> Cache:
-        """A memory for episodes of tasks ``(n,)`` that begin now; the demonstration of each task is read once."""
+        """Makes a memory for episodes of tasks ``(n,)`` that begin now; each task's demonstration is read once."""
         tasks, rows = task.unique(return_inverse=True)
         cache = self.decoder.begin(*self.show(last_frames(self.prompts.of(tasks), self.max_length)))
         cache.take(rows)
@@ -121,13 +117,12 @@ class ContextualPolicy(Policy):
         return self._act_on(self.decoder.step(self.seen(self._scaled(observation, self.target), time), cache))
 
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
-        """Actions in the target domain where each observation is the first of an episode: it has no history."""
+        # Each observation is taken for the first of an episode: it has no history.
         unknown = [domain for domain in observation if domain not in self.acts_in]
         assert not unknown, f"acts in {self.target.name!r} alone, found {unknown}"
         return {domain: self._first(observation[domain], task[domain]) for domain in observation}
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
-        """Who acts in episodes of ``tasks``: remembers each of them until it ends."""
         assert domain == self.target.name, f"acts in {self.target.name!r} alone, found {domain!r}"
         device, remembered = self.head.weight.device, np.arange(len(tasks))
         with torch.inference_mode():
@@ -140,8 +135,7 @@ class ContextualPolicy(Policy):
                 cache.take(torch.from_numpy(np.searchsorted(remembered, running)).to(device))
                 remembered = running
             seen = observation.map(lambda x: torch.as_tensor(x, device=device))
-            actions: np.ndarray = self.step(seen, cache).cpu().numpy()
-            return actions
+            return np.asarray(self.step(seen, cache).cpu())
 
         return act
 
@@ -157,14 +151,14 @@ class ContextualPolicy(Policy):
 
 
 def first_frames(sequences: PackedTrajectories, most: int) -> PackedTrajectories:
-    """The first ``most`` frames of each sequence."""
+    """Takes the first ``most`` frames of each sequence ``(P, T)``."""
     if sequences.mask.shape[1] <= most:
         return sequences
     return _chosen(sequences, sequences.frame[:, :most], sequences.mask[:, :most])
 
 
 def last_frames(sequences: PackedTrajectories, most: int) -> PackedTrajectories:
-    """The last ``most`` frames of each sequence."""
+    """Takes the last ``most`` frames of each sequence ``(P, T)``."""
     if sequences.mask.shape[1] <= most:
         return sequences
     length = sequences.mask.sum(dim=1, keepdim=True)
@@ -174,8 +168,7 @@ def last_frames(sequences: PackedTrajectories, most: int) -> PackedTrajectories:
 
 def _chosen(sequences: PackedTrajectories, frame: Tensor, mask: Tensor) -> PackedTrajectories:
     rows = frame[mask]
-    anew = torch.where(mask, mask.flatten().cumsum(0).view_as(mask) - 1, 0)
-    return PackedTrajectories(sequences.observation.take(rows), anew, mask, sequences.action[rows])
+    return PackedTrajectories(sequences.observation.take(rows), lay_out(mask), mask, sequences.action[rows])
 
 
 def _check(problem: TransferProblem, hidden: int, heads: int) -> None:

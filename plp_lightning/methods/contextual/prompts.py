@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from datamodules.batches.dataset import DomainDataset
 from datamodules.errors import UserError
 from datamodules.types import DomainSpec, Observation, PackedTrajectories
+from plp_lightning.methods.contextual.frames import lay_out
 
 
 class Prompts(nn.Module):
@@ -20,7 +21,7 @@ class Prompts(nn.Module):
     Args:
         spec: The source domain.
         tasks: Names of all tasks.
-        images: Whether images are kept.
+        images: Keep images too.
     """
 
     state: Tensor
@@ -39,12 +40,7 @@ class Prompts(nn.Module):
         self.register_load_state_dict_pre_hook(_make_room)  # type: ignore[no-untyped-call]
 
     def choose(self, dataset: DomainDataset, episodes: Mapping[int, int]) -> None:
-        """Take demonstrations from the source domain's steps.
-
-        Args:
-            dataset: The steps.
-            episodes: Which trajectory, by task index; tasks that are left out have none to show.
-        """
+        """Takes a trajectory ``(T, O)`` of the source domain by task index; tasks left out have none to show."""
         order, device = sorted(episodes), self.offset.device
         chosen = np.array([episodes[task] for task in order])
         rows = torch.from_numpy(dataset.rows_of(chosen))
@@ -57,7 +53,7 @@ class Prompts(nn.Module):
         self.offset = torch.from_numpy(np.concatenate([[0], lengths.cumsum()])).to(device)
 
     def of(self, tasks: Tensor) -> PackedTrajectories:
-        """The demonstrations of ``tasks (P,)`` int64.
+        """Gives the demonstrations ``(P, T)`` of ``tasks (P,)`` int64.
 
         Raises:
             UserError: If there is none of a task.
@@ -72,9 +68,8 @@ class Prompts(nn.Module):
         step = torch.arange(int(length.max()), device=tasks.device)
         mask = step < length[:, None]
         rows = (start[:, None] + step)[mask]
-        frame = torch.where(mask, mask.flatten().cumsum(0).view_as(mask) - 1, 0)
         image = None if self.camera is None else self.image[rows]
-        return PackedTrajectories(Observation(self.state[rows], image), frame, mask, self.action[rows])
+        return PackedTrajectories(Observation(self.state[rows], image), lay_out(mask), mask, self.action[rows])
 
 
 def _make_room(prompts: nn.Module, state: dict[str, Any], prefix: str, *rest: object) -> None:

@@ -13,19 +13,14 @@ from typing import cast
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from plp_lightning.methods.contextual.packing import Packing
+from plp_lightning.methods.contextual.frames import Packing
 
 FIRST_ROOM = 64
 """Steps that a cache has room for when it begins; the room doubles whenever it is full."""
 
 
 class Attention(nn.Module):
-    """Multi-head scaled dot-product attention (Section 3.2 of the paper above).
-
-    Args:
-        width: W, units; a multiple of ``heads``.
-        heads: H.
-    """
+    """Multi-head scaled dot-product attention (Section 3.2 of the paper above), H ``heads`` of W / H units each."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -35,14 +30,10 @@ class Attention(nn.Module):
         self.output = nn.Linear(width, width)
 
     def forward(self, x: Tensor, packing: Packing, memory: Tensor, mask: Tensor | None) -> Tensor:
-        """What frames find in a memory: ``(F, W)`` → ``(F, W)``.
+        """Looks frames ``(F, W)`` of P sequences up in their memory ``(2, P, H, S, W / H)``, as ``(F, W)``.
 
-        Args:
-            x: ``(F, W)``.
-            packing: Of these frames, in P sequences.
-            memory: Of as many sequences, see :meth:`remember`.
-            mask: ``(P, 1, 1, S)`` bool: what of the memory there is to look at. Without one, a frame looks at no
-                frame behind its own, which takes the memory to be of the same sequences.
+        ``mask (P, 1, 1, S)`` is True in the part of the memory to look at. Without one, a frame looks at no frame
+        behind its own, which takes the memory to be of the same sequences.
         """
         found = self.look(packing.pad(self.query(x)), memory, mask, causal=mask is None)
         added: Tensor = self.output(packing.pack(found))
@@ -53,18 +44,17 @@ class Attention(nn.Module):
         return self._split(packing.pad(self.key_value(x)))
 
     def look(self, query: Tensor, memory: Tensor, mask: Tensor | None = None, causal: bool = False) -> Tensor:
-        """What queries ``(P, T, W)`` find in a memory ``(2, P, H, S, W / H)``, as ``(P, T, W)``."""
+        """Looks queries ``(P, T, W)`` up in a memory ``(2, P, H, S, W / H)``, as ``(P, T, W)``."""
         heads = query.unflatten(-1, (self.heads, -1)).transpose(1, 2)
         found = F.scaled_dot_product_attention(heads, memory[0], memory[1], mask, is_causal=causal)
         return found.transpose(1, 2).flatten(-2)
 
     def step(self, x: Tensor, past: Past) -> Tensor:
-        """What the next frame ``(P, W)`` of each sequence finds in those before it and itself, as ``(P, W)``."""
-        memory = past.append(self._split(self.key_value(x)[:, None]))
-        return self.recall(x, memory, None)
+        """Looks the next frame ``(P, W)`` of each sequence up in those before it and itself, as ``(P, W)``."""
+        return self.recall(x, past.append(self._split(self.key_value(x)[:, None])), None)
 
     def recall(self, x: Tensor, memory: Tensor, mask: Tensor | None) -> Tensor:
-        """What one frame ``(P, W)`` of each sequence finds in a memory, as ``(P, W)``."""
+        """Looks one frame ``(P, W)`` of each sequence up in a memory, as ``(P, W)``."""
         found: Tensor = self.output(self.look(self.query(x)[:, None], memory, mask)[:, 0])
         return found
 
@@ -82,7 +72,7 @@ class Past:
         self.steps = 0
 
     def append(self, memory: Tensor) -> Tensor:
-        """Keep a step's ``(2, P, H, 1, W / H)``; those of all steps so far, ``(2, P, H, T, W / H)``."""
+        """Keeps a step's ``(2, P, H, 1, W / H)`` and gives those of all steps so far, ``(2, P, H, T, W / H)``."""
         if self.store is None:
             self.store = memory[:, :, :, :0]
         if self.steps == self.store.shape[3]:
@@ -92,17 +82,17 @@ class Past:
         return self.store[:, :, :, : self.steps]
 
     def take(self, rows: Tensor) -> None:
-        """Go on with the sequences ``rows`` alone."""
+        """Goes on with the sequences ``rows (n,)`` alone."""
         if self.store is not None:
             self.store = self.store[:, rows]
 
 
 class Cache:
-    """What a decoder keeps of sequences that go on step by step: what they were shown, and their past.
+    """Memory of a decoder for sequences that go on step by step: frames shown to them, and their past.
 
     Args:
-        shown: Of each layer, keys and values ``(2, P, H, S, W / H)`` of what sequence p was shown.
-        mask: ``(P, 1, 1, S)`` bool, of what was shown.
+        shown: Keys and values ``(2, P, H, S, W / H)`` of the frames shown to each sequence, by layer.
+        mask: ``(P, 1, 1, S)`` bool, False behind the end of the frames shown.
     """
 
     def __init__(self, shown: Sequence[Tensor], mask: Tensor) -> None:
@@ -115,37 +105,22 @@ class Cache:
         return self.past[0].steps
 
     def take(self, rows: Tensor) -> None:
-        """Go on with the sequences ``rows`` alone, an index array that may also repeat some."""
+        """Goes on with the sequences ``rows (n,)`` alone, an index array that may also repeat some."""
         self.shown, self.mask = [memory[:, rows] for memory in self.shown], self.mask[rows]
         for past in self.past:
             past.take(rows)
 
 
-class FeedForward(nn.Sequential):
-    """Two linear layers with GELU between them, for each frame alone.
-
-    Args:
-        width: W, units of a frame.
-        hidden: Units between the layers.
-    """
-
-    def __init__(self, width: int, hidden: int) -> None:
-        super().__init__(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, width))
+def _feed_forward(width: int, hidden: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, width))
 
 
 class EncoderLayer(nn.Module):
-    """Self-attention over whole sequences, then a feed-forward network.
-
-    Args:
-        width: W, units of a frame.
-        heads: Attention heads.
-        hidden: Units of the feed-forward network.
-        dropout: Share of the units of each sublayer that training leaves out.
-    """
+    """Self-attention over whole sequences, then a feed-forward network."""
 
     def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
         super().__init__()
-        self.attention, self.feed_forward = Attention(width, heads), FeedForward(width, hidden)
+        self.attention, self.feed_forward = Attention(width, heads), _feed_forward(width, hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(2))
         self.dropout = nn.Dropout(dropout)
 
@@ -159,19 +134,12 @@ class EncoderLayer(nn.Module):
 
 
 class DecoderLayer(nn.Module):
-    """Self-attention over the past, attention over what was shown, then a feed-forward network.
-
-    Args:
-        width: W, units of a frame.
-        heads: Attention heads.
-        hidden: Units of the feed-forward network.
-        dropout: Share of the units of each sublayer that training leaves out.
-    """
+    """Self-attention over the past, attention over frames shown, then a feed-forward network."""
 
     def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
         super().__init__()
         self.past_attention, self.shown_attention = Attention(width, heads), Attention(width, heads)
-        self.feed_forward = FeedForward(width, hidden)
+        self.feed_forward = _feed_forward(width, hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(3))
         self.dropout = nn.Dropout(dropout)
 
@@ -184,7 +152,7 @@ class DecoderLayer(nn.Module):
         return added
 
     def step(self, x: Tensor, past: Past, shown: Tensor, mask: Tensor) -> Tensor:
-        """The same for the next frame ``(P, W)`` of each sequence."""
+        """Does the same for the next frame ``(P, W)`` of each sequence, as ``(P, W)``."""
         x = x + self.dropout(self.past_attention.step(self.norms[0](x), past))
         x = x + self.dropout(self.shown_attention.recall(self.norms[1](x), shown, mask))
         added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
@@ -192,12 +160,12 @@ class DecoderLayer(nn.Module):
 
 
 class TransformerEncoder(nn.Module):
-    """Reads whole sequences.
+    """Reads whole sequences; the decoder and the layers of both have the same arguments.
 
     Args:
-        width: W, units of a frame.
-        heads: Attention heads of each layer.
-        layers: How many.
+        width: W, units of a frame; a multiple of ``heads``.
+        heads: H, attention heads of each layer.
+        layers: Number of layers.
         hidden: Units of each feed-forward network.
         dropout: Share of the units of each sublayer that training leaves out.
     """
@@ -216,32 +184,16 @@ class TransformerEncoder(nn.Module):
 
 
 class TransformerDecoder(nn.Module):
-    """Goes through sequences that look back at themselves, and at others that were shown to them.
-
-    Args:
-        width: W, units of a frame.
-        heads: Attention heads of each layer.
-        layers: How many.
-        hidden: Units of each feed-forward network.
-        dropout: Share of the units of each sublayer that training leaves out.
-    """
+    """Goes through sequences that look back at themselves, and at others shown to them."""
 
     def __init__(self, width: int, heads: int, layers: int, hidden: int, dropout: float) -> None:
         super().__init__()
         stack = nn.ModuleList(DecoderLayer(width, heads, hidden, dropout) for _ in range(layers))
-        # torch's own type of a list of modules does not say which.
-        self.layers = cast("Sequence[DecoderLayer]", stack)
+        self.layers = cast("Sequence[DecoderLayer]", stack)  # torch's own type does not say which modules
         self.norm = nn.LayerNorm(width)
 
     def forward(self, x: Tensor, packing: Packing, shown: Tensor, shown_packing: Packing) -> Tensor:
-        """All steps at once: ``(F, W)`` → ``(F, W)``.
-
-        Args:
-            x: ``(F, W)``.
-            packing: Of these frames, in P sequences.
-            shown: ``(S, W)``, the encoder's frames of what was shown.
-            shown_packing: Of those, in P sequences too: sequence p was shown the p-th of them.
-        """
+        """All steps at once: ``(F, W)``, and the encoder's ``(S, W)`` that its P sequences were shown → ``(F, W)``."""
         cache = self.begin(shown, shown_packing)
         for layer, memory in zip(self.layers, cache.shown, strict=True):
             x = layer(x, packing, memory, cache.mask)
@@ -249,12 +201,7 @@ class TransformerDecoder(nn.Module):
         return normal
 
     def begin(self, shown: Tensor, packing: Packing) -> Cache:
-        """A cache for sequences that begin now.
-
-        Args:
-            shown: ``(S, W)``, the encoder's frames of what was shown to them.
-            packing: Of those, a sequence for each that begins.
-        """
+        """Makes a cache for sequences that begin now and were shown the encoder's frames ``(S, W)``, packed alike."""
         memories = [layer.shown_attention.remember(shown, packing) for layer in self.layers]
         return Cache(memories, packing.mask[:, None, None])
 

@@ -1,8 +1,8 @@
-"""GAMA's phases: what can be learnt without the other domain, then the maps between them, then the new task."""
+"""GAMA's phases: first the parts that need no other domain, then the maps between domains, then the new task."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -10,20 +10,17 @@ from torch import Tensor, nn
 
 from datamodules.settings import NonNegativeFloat, PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
-from plp_lightning.losses import behavioural_cloning
-from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.losses import behavioural_cloning, r1_penalty
 from plp_lightning.methods.gama.losses import (
     normalised_prediction_error,
     transition_discriminator_loss,
     transition_generator_loss,
 )
-from plp_lightning.methods.gama.networks import TransitionDiscriminator
 from plp_lightning.methods.gama.policy import GamaPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.translation.cached_features import CachedFeatures
-from plp_lightning.methods.translation.perception import PointReconstruction
-from plp_lightning.networks import with_frozen_parameters
+from plp_lightning.methods.phase import Phase, step_count, tasks_of
+from plp_lightning.methods.translation import CachedFeatures, PointReconstruction
+from plp_lightning.networks import mlp, with_frozen_parameters
 
 
 class GamaPretraining(Phase[GamaPolicy]):
@@ -37,7 +34,7 @@ class GamaPretraining(Phase[GamaPolicy]):
         reconstruction_hidden: Units of the image decoder's hidden layer.
         epochs: Passes over the proxy data, counted in samples of both domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     trains = GamaPolicy
@@ -57,28 +54,24 @@ class GamaPretraining(Phase[GamaPolicy]):
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """Both maps, which need the other domain."""
         policy = self.policy
         return {"scaler": policy.perception.scaler, "state_map": policy.state_map, "action_map": policy.action_map}
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Sum of losses that share no parameter."""
-        policy, steps = self.policy, batch.steps
-        state = {domain: policy.features(domain, s.observation) for domain, s in steps.items()}
+        steps = batch.steps
+        state = {domain: self.policy.features(domain, s.observation) for domain, s in steps.items()}
         parts = self._losses({domain: seen.detach() for domain, seen in state.items()}, steps)
         parts |= self.redrawing.losses(state, steps)
-        if self.logs_now:
-            self.log_parts(parts, sum(len(s.action) for s in steps.values()))
+        self.log_parts(parts, step_count(steps))
         return torch.stack([*parts.values()]).sum()
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Held-out loss of the source policy as ``val/bc``, of the dynamics as ``val/dynamics``."""
         state = {domain: self.policy.features(domain, s.observation) for domain, s in batch.steps.items()}
         for name, loss in self._losses(state, batch.steps).items():
-            self.log(f"val/{name}", loss, batch_size=sum(len(seen) for seen in state.values()), on_epoch=True)
+            self.log(f"val/{name}", loss, batch_size=step_count(batch.steps), on_epoch=True)
 
     def _losses(self, state: Mapping[str, Tensor], steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """Of the source policy and of the dynamics, as far as there are steps of their domains."""
+        """Losses of the source policy and of the dynamics, as far as there are steps of their domains."""
         policy, parts = self.policy, {}
         if policy.source in steps:
             taken = steps[policy.source]
@@ -99,9 +92,34 @@ class GamaPhase(CachedFeatures[GamaPolicy]):
     trains = GamaPolicy
 
     def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """The policy's actions, from the states that are known already."""
-        state = {domain: self.states[domain][s.row] for domain, s in steps.items()}
-        return self.policy.control(state, {domain: s.task for domain, s in steps.items()})
+        return self.policy.control({domain: self.states[domain][s.row] for domain, s in steps.items()}, tasks_of(steps))
+
+
+class TransitionDiscriminator(nn.Module):
+    """Tells whether a transition and its task are of the source domain or translated.
+
+    The one-hot task makes it one discriminator a task. It sees the next state as the change, in units of a typical
+    one: as next states, two transitions that differ in all that matters would look the same. Source states have S
+    numbers, source actions A; there are K tasks.
+    """
+
+    unit: Tensor
+
+    def __init__(self, states: int, actions: int, tasks: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.tasks = tasks
+        self.register_buffer("unit", torch.ones(states))
+        self.net = mlp(2 * states + actions + tasks, hidden, layers, 1)
+
+    def describe(self, state: Tensor, action: Tensor, following: Tensor, task: Tensor) -> Tensor:
+        """``(B, S)``, ``(B, A)``, ``(B, S)`` and int64 ``(B,)`` → one row for each transition ``(B, 2 S + A + K)``."""
+        one_hot = nn.functional.one_hot(task, self.tasks).to(state.dtype)
+        return torch.cat([state, action, (following - state) / self.unit, one_hot], dim=1)
+
+    def forward(self, transition: Tensor) -> Tensor:
+        """Descriptions ``(B, 2 S + A + K)`` → logits ``(B,)`` of being real; gradients reach the discriminator."""
+        logits: Tensor = self.net(transition)
+        return logits[:, 0]
 
 
 class GamaAlignment(GamaPhase):
@@ -121,7 +139,7 @@ class GamaAlignment(GamaPhase):
         dynamics_lr: Learning rate of the dynamics.
         epochs: Passes over the proxy data, counted in samples of both domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
     """
 
     batch_spec = BatchSpec(images=False, next_observation=True)
@@ -142,19 +160,14 @@ class GamaAlignment(GamaPhase):
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.weights = {"adversarial": adversarial_weight, "penalty": penalty_weight}
         self.discriminator_lr, self.dynamics_lr = discriminator_lr, dynamics_lr
-        states, actions = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size
-        self.discriminator = TransitionDiscriminator(
-            states, actions, policy.task_count, discriminator_hidden, discriminator_layers
-        )
+        sizes = policy.perception.sizes[policy.source], policy.domains[policy.source].action_size, policy.task_count
+        self.discriminator = TransitionDiscriminator(*sizes, discriminator_hidden, discriminator_layers)
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """How states are perceived, and the source policy."""
-        policy = self.policy
-        return {"perception": policy.perception, "source_policy": policy.source_policy}
+        return {"perception": self.policy.perception, "source_policy": self.policy.source_policy}
 
     def parameter_groups(self) -> list[Any]:
-        """Both maps, the discriminator and the dynamics, each player with a learning rate of its own."""
         policy = self.policy
         return [
             {"params": [*policy.state_map.parameters(), *policy.action_map.parameters()]},
@@ -163,18 +176,14 @@ class GamaAlignment(GamaPhase):
         ]
 
     def on_fit_start(self) -> None:
-        """Perceive every step, and find out how much a step of the source domain changes."""
         super().on_fit_start()
         self.discriminator.unit.copy_(self.usual_change(self.policy.source))
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Losses of all players, from shared forward passes."""
         policy, judge = self.policy, self.discriminator
         here, there = batch.steps[policy.source], batch.steps[policy.target]
-        (real_state, real_next), (state, following) = (
-            self.before_and_after(policy.source, here.row),
-            self.before_and_after(policy.target, there.row),
-        )
+        real_state, real_next = self.before_and_after(policy.source, here.row)
+        state, following = self.before_and_after(policy.target, there.row)
         moved = policy.state_map(state)
         planned = policy.imitate(moved, there.task)
         action = policy.translate(planned, state)
@@ -189,8 +198,7 @@ class GamaAlignment(GamaPhase):
             "penalty": r1_penalty(judged, real, torch.ones_like(judged)),
             "dynamics": normalised_prediction_error(policy.dynamics(state, there.action), state, following),
         }
-        if self.logs_now:
-            self.log_parts(parts, len(state) + len(real_state))
+        self.log_parts(parts, step_count(batch.steps))
         return torch.stack([self.weights.get(name, 1.0) * loss for name, loss in parts.items()]).sum()
 
 
@@ -201,8 +209,8 @@ class GamaAdaptation(GamaPhase):
         policy: The policy with trained maps.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
-        target_mix: Whether mixed-in proxy steps of the target domain train the source policy too, through the maps.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        target_mix: Train the source policy on mixed-in proxy steps of the target domain too, through the maps.
     """
 
     batch_spec = BatchSpec("mix", images=False)
@@ -220,19 +228,13 @@ class GamaAdaptation(GamaPhase):
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """Everything but the source policy."""
         return {name: part for name, part in self.policy.named_children() if name != "source_policy"}
 
-    def trained_parameters(self) -> Iterable[nn.Parameter]:
-        """The source policy's."""
-        return self.policy.source_policy.parameters()
+    def parameter_groups(self) -> list[Any]:
+        return [*self.policy.source_policy.parameters()]
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Behavioural cloning on the target task and the mixed-in alignment data."""
         steps = {domain: s for domain, s in batch.steps.items() if domain in self.learns_from}
         if not steps:  # by chance, the last batch of an epoch may hold nothing else
-            return torch.stack([parameter.sum() for parameter in self.trained_parameters()]).sum() * 0
-        loss = behavioural_cloning(self.predict(steps), {domain: s.action for domain, s in steps.items()})
-        if self.logs_now:
-            self.log_parts({"bc": loss}, sum(len(s.action) for s in steps.values()))
-        return loss
+            return torch.stack([parameter.sum() for parameter in self.parameter_groups()]).sum() * 0
+        return super().training_step(batch._replace(steps=steps), batch_idx)

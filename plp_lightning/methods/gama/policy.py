@@ -6,15 +6,28 @@ domain y, the target's policy is ``g(π_x(f(s_y), k))``: f maps states y → x, 
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
 from datamodules.settings import PositiveInt
-from plp_lightning.methods.gama.networks import TargetDynamics
 from plp_lightning.methods.policy import Observations, Parts
-from plp_lightning.methods.translation.policy import TranslatingPolicy
-from plp_lightning.networks import ActionDecoder, StateEncoder
+from plp_lightning.methods.translation import TranslatingPolicy
+from plp_lightning.networks import ActionDecoder, StateEncoder, mlp
+
+
+class TargetDynamics(nn.Module):
+    """P(s_y, a_y) → s'_y, of states of size S and actions of size A: the change of a step is learnt, the rest stays."""
+
+    def __init__(self, states: int, actions: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.net = mlp(states + actions, hidden, layers, states)
+
+    def forward(self, state: Tensor, action: Tensor) -> Tensor:
+        """``(B, S)`` and ``(B, A)`` → the next state ``(B, S)``."""
+        change: Tensor = self.net(torch.cat([state, action], dim=1))
+        return state + change
 
 
 class GamaPolicy(TranslatingPolicy):
@@ -28,13 +41,9 @@ class GamaPolicy(TranslatingPolicy):
         policy_layers: Hidden layers of the source policy.
         map_layers: Hidden layers of the state map and of the action map.
         dynamics_layers: Hidden layers of the target dynamics.
-        action_map_state: Whether the action map sees the target's state beside the source's action ("GAMA + State").
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
-        image_channels: Of each convolution of the image encoders, the last one's become feature points; without any,
-            the policy is blind: it leaves images aside.
-
-    Raises:
-        ConfigError: If there are not two domains, or a size is wrong.
+        action_map_state: Show the action map the target's state beside the source's action ("GAMA + State").
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
+        image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
 
     def __init__(
@@ -54,8 +63,7 @@ class GamaPolicy(TranslatingPolicy):
         self.task_count, self.action_map_state = len(problem.tasks), action_map_state
         self.source_policy = ActionDecoder(here, self.task_count, acts, hidden, policy_layers)
         self.state_map = StateEncoder(there, here, hidden, map_layers)
-        context = there if action_map_state else 0
-        self.action_map = ActionDecoder(acts, context, moves, hidden, map_layers)
+        self.action_map = ActionDecoder(acts, there if action_map_state else 0, moves, hidden, map_layers)
         self.dynamics = TargetDynamics(there, moves, hidden, dynamics_layers)
 
     def imitate(self, state: Tensor, task: Tensor) -> Tensor:
@@ -65,7 +73,7 @@ class GamaPolicy(TranslatingPolicy):
         return action
 
     def translate(self, action: Tensor, state: Tensor) -> Tensor:
-        """g: source actions ``(B, A_x)``, and target states ``(B, S_y)`` if it sees them → target actions."""
+        """g: source actions ``(B, A_x)``, and target states ``(B, S_y)`` if it sees them → actions ``(B, A_y)``."""
         translated: Tensor = self.action_map(action, state if self.action_map_state else state[:, :0])
         return translated
 
@@ -81,9 +89,7 @@ class GamaPolicy(TranslatingPolicy):
         return actions
 
     def encode(self, observation: Observations) -> dict[str, Tensor]:
-        """States ``(B_d, S_x)`` of the source domain."""
         return self.move({domain: self.features(domain, seen) for domain, seen in observation.items()})
 
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
-        """π_x in the source domain, g ∘ π_x ∘ f in the target domain."""
         return self.control({domain: self.features(domain, seen) for domain, seen in observation.items()}, task)

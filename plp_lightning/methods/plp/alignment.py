@@ -12,7 +12,7 @@ from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Observation, PackedTrajectories, Steps
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.phase import Phase, step_count, tasks_of
 from plp_lightning.methods.plp.policy import PortablePolicy
 from plp_lightning.methods.plp.terms import AlignmentTerm, EncodedBatch, TermFactory
 from plp_lightning.methods.policy import Parts
@@ -27,10 +27,10 @@ class Alignment(Phase[PortablePolicy]):
         policy: The policy to train.
         terms: Alignment terms by name: MMD, TCC, DomainAdversarial, ImageReconstruction or one of your own; null leaves
             one away.
-        bc_reduction: Of behavioural cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
+        bc_reduction: Reduction of cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; the paper's is constant.
+        lr_scheduler: Makes the schedule of the learning rate; the paper's is constant.
     """
 
     trains = PortablePolicy
@@ -51,11 +51,10 @@ class Alignment(Phase[PortablePolicy]):
 
     @property
     def alignment_terms(self) -> list[AlignmentTerm]:
-        """The terms, in order."""
+        """Alignment terms, in order."""
         return [term for term in self.terms.values() if isinstance(term, AlignmentTerm)]
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Total loss of one batch, from a single pass through the encoder."""
         encoded, steps = self._encode(batch)
         losses = {name: (loss, 1.0) for name, loss in self.imitation_losses(encoded.latent, steps).items()}
         for term in self.alignment_terms:
@@ -64,7 +63,7 @@ class Alignment(Phase[PortablePolicy]):
         if self.logs_now:
             spread = torch.cat([*encoded.latent.values()]).detach().std(dim=0).mean()
             logged = {name: loss for name, (loss, _) in losses.items()}
-            self.log_parts(logged | {"loss": total, "latent_std": spread}, batch_size(batch))
+            self.log_parts(logged | {"loss": total, "latent_std": spread}, step_count(batch.steps))
         return total
 
     def _encode(self, batch: Batch) -> tuple[EncodedBatch, dict[str, Steps]]:
@@ -83,25 +82,14 @@ class Alignment(Phase[PortablePolicy]):
         return EncodedBatch(of_steps, batch.steps, of_frames, pairs), steps
 
     def imitation_losses(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """Losses of learning from the demonstrations themselves: their actions.
-
-        Args:
-            latent: Latent states ``(B_d, Z)`` by domain.
-            steps: The steps that they are the states of, images encoded.
-        """
-        latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
+        """Scalar losses of learning demonstrated actions by name, from latent states ``(B_d, Z)`` and their steps."""
+        latent_action = self.policy.latent_action(latent, tasks_of(steps))
         action = self.policy.decode(latent_action, {domain: s.observation for domain, s in steps.items()})
         return {"bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}, self.bc_reduction)}
 
 
-def batch_size(batch: Batch) -> int:
-    """Steps in a batch, all domains together."""
-    return sum(len(steps.action) for steps in batch.steps.values())
-
-
 def _stack(observation: Observation[Tensor], frames: PackedTrajectories) -> Observation[Tensor]:
     """A domain's steps ``(B, …)`` with the frames ``(F, …)`` of its paired trajectories below them."""
-    image = None
-    if observation.image is not None and frames.observation.image is not None:
-        image = torch.cat([observation.image, frames.observation.image])
-    return Observation(torch.cat([observation.state, frames.observation.state]), image)
+    images = [seen.image for seen in (observation, frames.observation) if seen.image is not None]
+    state = torch.cat([observation.state, frames.observation.state])
+    return Observation(state, torch.cat(images) if len(images) == 2 else None)

@@ -18,10 +18,17 @@ from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.settings import NonNegativeFloat, PositiveInt
 from datamodules.types import DomainSpec, Observation
-from plp_lightning.methods.plp.networks import CommonPolicy
 from plp_lightning.methods.policy import AligningPolicy, Observations, Parts
-from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoding, Sharing, StateEncoder
-from plp_lightning.networks.scaling import InputScaler
+from plp_lightning.networks import (
+    ActionDecoder,
+    DomainColumns,
+    ImageEncoding,
+    InputScaler,
+    Sharing,
+    StateEncoder,
+    TaskNetwork,
+    split_by_domain,
+)
 from plp_lightning.networks.vision import encode_images, image_shape
 
 EncoderWord = Literal["all"]
@@ -31,7 +38,7 @@ DecoderState = DecoderWord | list[str]
 
 
 class Forward(NamedTuple):
-    """What the policy makes of a batch."""
+    """Output of the policy for a batch."""
 
     latent: dict[str, Tensor]
     """s_z by domain, ``(B_d, Z)``."""
@@ -51,18 +58,18 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
-        encoder_state: What the encoder sees of the state: ``all``, or the named keys, of which each domain shows those
+        encoder_state: Part of the state for the encoder: ``all``, or the named keys, of which each domain shows those
             that it has. Domains align more easily by what they have in common; the rest is for the decoder.
-        decoder_state: What the decoder sees beside the latent action: ``none``; ``proprioception``, which is the whole
+        decoder_state: Input of the decoder beside the latent action: ``none``; ``proprioception``, which is the whole
             state, since a state holds what a robot senses of itself; ``all``, which is the state and the image; or
             the named keys of the state, of which each domain shows those that it has.
-        columns: Of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which suits
-            domains whose vectors mean the same.
-        scaling: Of raw states, by observation key; ``default`` serves keys that are not named.
+        columns: Columns of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which
+            suits domains whose vectors mean the same.
+        scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
 
     Raises:
-        ConfigError: If a size is wrong, or the domains' images differ in shape.
+        ConfigError: If a setting names a key that no domain has, or the domains' images differ in shape.
     """
 
     def __init__(
@@ -83,10 +90,8 @@ class PortablePolicy(AligningPolicy):
         super().__init__(problem)
         domains, tasks = problem.domains, problem.tasks
         self.latent_size = latent
-        self.image_shape, self.image_channels = (
-            image_shape(domains) if image_encoder.channels else None,
-            image_encoder.channels,
-        )
+        self.image_channels = image_encoder.channels
+        self.image_shape = image_shape(domains) if image_encoder.channels else None
         self.image_features = 0 if self.image_shape is None else image_encoder.features
         self.scaler = InputScaler(domains, problem.statistics, scaling or {})
         self.state_columns = _columns("encoder_state", encoder_state, get_args(EncoderWord), domains)
@@ -96,53 +101,51 @@ class PortablePolicy(AligningPolicy):
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
         inputs = self.states.width + len(domains) + self.image_features
         self.encoder = StateEncoder(inputs, latent, hidden, encoder_layers)
-        self.common = CommonPolicy(latent, len(tasks), hidden, policy_layers)
+        self.common = TaskNetwork(latent, len(tasks), latent, hidden, policy_layers)
         self.decoder_sees_images = decoder_state == "all" and self.image_shape is not None
         context = self.contexts.width + len(domains) + (self.image_features if self.decoder_sees_images else 0)
         self.decoder = ActionDecoder(latent, context, self.actions.width, hidden, decoder_layers, gradient_floor)
         self.image_encoder = None if self.image_shape is None else image_encoder.build(self.image_shape)
 
     def encode_images(self, observation: Observations) -> Observations:
-        """Observations for both encoder and decoder: if both see images, with features ``(B_d, F)`` in their place.
-
-        So the image encoder, the costliest part, looks once. States stay as they are.
-        """
+        """Replaces images by features ``(B_d, F)`` if encoder and decoder see them: the costliest part looks once."""
         if self.image_encoder is None or not self.decoder_sees_images:
             return observation
-        features = _split(encode_images(self.image_encoder, observation, self.cameras), observation)
+        joined = encode_images(self.image_encoder, observation, self.cameras)
+        features = split_by_domain(joined, {domain: seen.state for domain, seen in observation.items()})
         return {d: obs._replace(image=features[d] if d in self.cameras else None) for d, obs in observation.items()}
 
     def encode(self, observation: Observations) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
-        inputs = self.states.join({d: self._pick(obs, d, self.state_columns) for d, obs in observation.items()})
+        states = {domain: self._pick(seen, domain, self.state_columns) for domain, seen in observation.items()}
+        inputs = self.states.join(states)
         if self.image_encoder is not None:
             inputs = torch.cat([inputs, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
-        return _split(self.encoder(inputs), observation)
+        return split_by_domain(self.encoder(inputs), states)
 
     def decode(self, latent_action: Parts, observation: Observations) -> dict[str, Tensor]:
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
-        context = self.contexts.join({d: self._pick(obs, d, self.context_columns) for d, obs in observation.items()})
+        seen = {d: self._pick(obs, d, self.context_columns) for d, obs in observation.items()}
+        context = self.contexts.join(seen)
         if self.decoder_sees_images:
             assert self.image_encoder is not None
             context = torch.cat([context, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
         joined = torch.cat([latent_action[domain] for domain in observation])
-        actions = _split(self.decoder(joined, context), observation)
+        actions = split_by_domain(self.decoder(joined, context), seen)
         return {domain: self.actions.take(action, domain) for domain, action in actions.items()}
 
     def latent_action(self, latent: Parts, task: Parts) -> dict[str, Tensor]:
         """π_z: latent actions ``(B_d, Z)`` by domain; the pass itself does not see the domain."""
-        joined = self.common(torch.cat(list(latent.values())), torch.cat([task[domain] for domain in latent]))
-        sizes = [len(part) for part in latent.values()]
-        return dict(zip(latent, joined.split(sizes), strict=True))
+        joined = self.common(torch.cat([*latent.values()]), torch.cat([task[domain] for domain in latent]))
+        return split_by_domain(joined, latent)
 
     def forward(self, observation: Observations, task: Parts) -> Forward:
-        """ψ(π_z(φ(s, d), k), s, d) for the rows of every domain."""
+        """ψ(π_z(φ(s, d), k), s, d) for states ``(B_d, O)`` and tasks ``(B_d,)`` of every domain."""
         seen = self.encode_images(observation)
         latent = self.encode(seen)
         return Forward(latent, self.decode(self.latent_action(latent, task), seen))
 
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
-        """The actions of :meth:`forward`."""
         return self.forward(observation, task).action
 
     def _pick(self, observation: Observation[Tensor], domain: str, columns: Mapping[str, list[int]]) -> Tensor:
@@ -151,11 +154,6 @@ class PortablePolicy(AligningPolicy):
             return observation.state[:, :0]
         scaled: Tensor = self.scaler(observation.state, domain)
         return scaled if columns[domain] == [*range(scaled.shape[1])] else scaled[:, columns[domain]]
-
-
-def _split(joined: Tensor, observation: Observations) -> dict[str, Tensor]:
-    sizes = [len(obs.state) for obs in observation.values()]
-    return dict(zip(observation, joined.split(sizes), strict=True))
 
 
 def _columns(
@@ -169,7 +167,6 @@ def _columns(
         return {spec.name: [] if chosen == "none" else [*range(spec.state_size)] for spec in domains}
     keys = {spec.name: [key.name for key in spec.state_keys] for spec in domains}
     everywhere = {name for names in keys.values() for name in names}
-    for name in chosen:
-        if name not in everywhere:
-            raise ConfigError(f"{setting} names {name!r}; expected state keys: {', '.join(sorted(everywhere))}")
+    if unknown := [name for name in chosen if name not in everywhere]:
+        raise ConfigError(f"{setting} names {unknown[0]!r}; expected state keys: {', '.join(sorted(everywhere))}")
     return {s.name: s.columns([name for name in chosen if name in keys[s.name]]) for s in domains}

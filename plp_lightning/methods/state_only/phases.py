@@ -13,16 +13,39 @@ from datamodules.batches.dataset import DomainDataset
 from datamodules.errors import ConfigError
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
+from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.phase import step_count, tasks_of
 from plp_lightning.methods.plp.adaptation import Adaptation
-from plp_lightning.methods.plp.alignment import Alignment, batch_size
+from plp_lightning.methods.plp.alignment import Alignment
 from plp_lightning.methods.plp.terms import TermFactory
 from plp_lightning.methods.policy import Parts
-from plp_lightning.methods.state_only.losses import one_step
 from plp_lightning.methods.state_only.policy import StateOnlyPolicy
 
 Reduction = Literal["mean", "sum"]
+
+
+def one_step(prediction: Mapping[str, Tensor], outcome: Mapping[str, Tensor], reduction: Reduction = "mean") -> Tensor:
+    r"""Squared distance to the known outcome of a step, a scalar, the mean over the steps of all domains.
+
+    .. math::
+        L_{next} &= \mathbb{E} \| \pi_z(\phi_d(s), k) - \mathrm{sg}[\phi_d(s')] \|^2 \\
+        L_{IDM} &= \mathbb{E} \| \psi(\mathrm{sg}[\phi_y(s')], s) - a \|^2
+
+    with the next latent state as the outcome in the first and the action in the second. No gradient reaches the
+    outcome. See "Cross-Domain Policy Transfer by Representation Alignment via Multi-Domain Behavioral Cloning"
+    (https://arxiv.org/abs/2407.16912), appendix on transfer from state-only demonstrations.
+
+    Args:
+        prediction: By domain, ``(B_d, N_d)``.
+        outcome: By domain, ``(B_d, N_d)``.
+        reduction: Over the N_d numbers: their ``mean``, or their ``sum`` (as printed).
+
+    Example:
+        >>> one_step({"ant": torch.zeros(1, 2)}, {"ant": torch.tensor([[2.0, 0.0]])})
+        tensor(2.)
+    """
+    return behavioural_cloning(prediction, {domain: found.detach() for domain, found in outcome.items()}, reduction)
 
 
 class StateOnlyAlignment(Alignment):
@@ -35,10 +58,10 @@ class StateOnlyAlignment(Alignment):
     Args:
         policy: The policy to train.
         terms: Alignment terms by name, as those of :class:`Alignment`.
-        next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
+        next_reduction: Reduction of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
 
     Raises:
         ConfigError: If the policy's decoder does not see the state.
@@ -56,52 +79,53 @@ class StateOnlyAlignment(Alignment):
         lr_scheduler: SchedulerFactory | None = None,
     ) -> None:
         super().__init__(policy, terms, epochs=epochs, optimizer=optimizer, lr_scheduler=lr_scheduler)
-        _check_decoder(policy)
+        if not policy.context_columns[policy.problem.target_domain]:
+            found = policy.arguments["decoder_state"]
+            raise ConfigError(
+                f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
+            )
         self.batch_spec = replace(self.batch_spec, next_observation=True)
         self.next_reduction, self.target = next_reduction, policy.problem.target_domain
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Held-out losses that no source action is needed for."""
         steps = batch.steps
         latent = self.policy.encode({domain: s.observation for domain, s in steps.items()})
         loss = self.imitation_losses(latent, steps)["next"]
-        self.log("val/next", loss, batch_size=batch_size(batch), on_epoch=True)
-        known = {domain: s for domain, s in steps.items() if domain == self.target}
-        Phase.validation_step(self, Batch(known, {}), batch_idx)
+        self.log("val/next", loss, batch_size=step_count(steps), on_epoch=True)
+        super().validation_step(Batch(self._known(steps), {}), batch_idx)
 
     def imitation_losses(self, latent: Parts, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        """L_next, and where there are steps of the target domain L_IDM."""
         following = {domain: s.next_observation for domain, s in steps.items() if s.next_observation is not None}
         assert following.keys() == steps.keys(), "batch_spec asks for it"
         with torch.no_grad():
             after = self.policy.encode(following)
-        latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
+        latent_action = self.policy.latent_action(latent, tasks_of(steps))
         parts = {"next": one_step(latent_action, after, self.next_reduction)}
-        here = {domain: s for domain, s in steps.items() if domain == self.target}
-        if here:
-            action = self.policy.decode({d: after[d] for d in here}, {d: s.observation for d, s in here.items()})
-            parts["inverse"] = one_step(action, {d: s.action for d, s in here.items()})
+        if known := self._known(steps):
+            action = self.policy.decode({d: after[d] for d in known}, {d: s.observation for d, s in known.items()})
+            parts["inverse"] = one_step(action, {d: s.action for d, s in known.items()})
         return parts
+
+    def _known(self, steps: Mapping[str, Steps]) -> dict[str, Steps]:
+        """Steps with actions that may be looked at: the target domain's."""
+        return {domain: s for domain, s in steps.items() if domain == self.target}
 
 
 class StateOnlyAdaptation(Adaptation):
     """Next-latent prediction of the target task from source states alone, with encoder and decoder frozen.
 
-    As the target task's demonstrations have no actions, the best checkpoint is told by the held-out loss of the
-    prediction.
+    The target task's demonstrations have no actions, so the prediction's held-out loss tells the best checkpoint.
 
     Args:
         policy: The aligned policy.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes what changes the learning rate; a constant rate if not given.
-        next_reduction: Of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        next_reduction: Reduction of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
     """
 
     trains = StateOnlyPolicy
     monitor = "val/next"
-    next_row: dict[str, Tensor]
-    """Row of the next latent state of each step, by domain."""
 
     def __init__(
         self,
@@ -115,38 +139,19 @@ class StateOnlyAdaptation(Adaptation):
         self.batch_spec = BatchSpec("mix", images=False, next_observation=True)
         self.next_reduction = next_reduction
 
-    def _encode_all(self) -> None:
-        super()._encode_all()
-        datasets = self.trainer.datamodule.datasets  # type: ignore[attr-defined]
-        self.next_row = {domain: dataset.next_row.to(self.device) for domain, dataset in datasets.items()}
-
-    def _rows_to_encode(self, dataset: DomainDataset) -> int:
-        """Last observations too, which follow steps."""
+    def _rows_to_cache(self, dataset: DomainDataset) -> int:
         return len(dataset.observation)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """L_next on the target task and the mixed-in alignment data."""
         loss = self._foresight(batch.steps)
-        if self.logs_now:
-            self.log_parts({"next": loss}, sum(len(s.action) for s in batch.steps.values()))
+        self.log_parts({"next": loss}, step_count(batch.steps))
         return loss
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """L_next on held-out trajectories of the target task."""
-        size = sum(len(s.action) for s in batch.steps.values())
-        self.log("val/next", self._foresight(batch.steps), batch_size=size, on_epoch=True)
+        self.log("val/next", self._foresight(batch.steps), batch_size=step_count(batch.steps), on_epoch=True)
 
     def _foresight(self, steps: Mapping[str, Steps]) -> Tensor:
         """L_next, from latent states that are known already."""
-        latent = {domain: self.latents[domain][s.row] for domain, s in steps.items()}
-        after = {domain: self.latents[domain][self.next_row[domain][s.row]] for domain, s in steps.items()}
-        latent_action = self.policy.latent_action(latent, {domain: s.task for domain, s in steps.items()})
-        return one_step(latent_action, after, self.next_reduction)
-
-
-def _check_decoder(policy: StateOnlyPolicy) -> None:
-    if not policy.context_columns[policy.problem.target_domain]:
-        found = policy.arguments["decoder_state"]
-        raise ConfigError(
-            f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
-        )
+        known = {domain: self.before_and_after(domain, s.row) for domain, s in steps.items()}
+        latent, after = ({domain: states[i] for domain, states in known.items()} for i in (0, 1))
+        return one_step(self.policy.latent_action(latent, tasks_of(steps)), after, self.next_reduction)

@@ -1,4 +1,4 @@
-"""A portable latent policy whose latent action is the next latent state."""
+"""The portable latent policy of PLP-T without source actions."""
 
 from __future__ import annotations
 
@@ -14,5 +14,4 @@ class StateOnlyPolicy(PortablePolicy):
 
     @property
     def acts_in(self) -> tuple[str, ...]:
-        """The target domain: no action of another was ever read."""
-        return (self.problem.target_domain,)
+        return (self.problem.target_domain,)  # no action of another domain was ever read

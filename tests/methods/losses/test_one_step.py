@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from plp_lightning.methods.state_only.losses import one_step
+from plp_lightning.methods.state_only.phases import one_step
 
 SIZES = {"point": (7, 2), "ant": (4, 5)}
 

@@ -1,4 +1,4 @@
-"""Domain domain_discriminator_loss on latents: the adversarial alternative to the maximum mean discrepancy."""
+"""A discriminator of domains on latents: the adversarial alternative to the maximum mean discrepancy."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from plp_lightning.losses.r1_penalty import r1_penalty
+from plp_lightning.losses import r1_penalty
 
 
 def domain_discriminator_loss(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
-    """The discriminator's loss: cross-entropy of telling which domain a latent is from.
+    """The discriminator's loss, a scalar: cross-entropy of a latent's domain, mean over all domains' samples.
 
     The latents are detached: no gradient reaches the encoder. For two domains this is the binary cross-entropy
     of "Generative Adversarial Networks" (https://arxiv.org/abs/1406.2661), Eq. 1.
@@ -20,9 +20,6 @@ def domain_discriminator_loss(discriminator: Callable[[Tensor], Tensor], latents
     Args:
         discriminator: ``(B, Z)`` → logits ``(B, D)`` for D domains, two or more.
         latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
-
-    Returns:
-        Scalar, mean over the samples of all domains.
 
     Example:
         >>> alike = [torch.zeros(3, 2), torch.zeros(5, 2)]
@@ -34,19 +31,15 @@ def domain_discriminator_loss(discriminator: Callable[[Tensor], Tensor], latents
 
 
 def domain_generator_loss(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
-    """The encoder's loss: cross-entropy with flipped labels, small if latents pass for another domain's.
+    """The encoder's loss, a scalar: cross-entropy with flipped labels, small if latents pass for another domain's.
 
     It doesn't saturate: the better the discriminator, the larger the gradient. With more than two domains the
     flipped label is any of the others, each as good. See "Generative Adversarial Networks"
     (https://arxiv.org/abs/1406.2661), section 3.
 
     Args:
-        discriminator: As in :func:`domain_discriminator_loss`, its parameters held fixed: a gradient that reached them
-            would teach it to be fooled.
+        discriminator: ``(B, Z)`` → ``(B, D)``, its parameters held fixed: a gradient would teach it to be fooled.
         latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
-
-    Returns:
-        Scalar, mean over the samples of all domains.
 
     Example:
         >>> told_apart = [torch.tensor([[9.0, 0.0]]), torch.tensor([[0.0, 9.0]])]
@@ -58,18 +51,15 @@ def domain_generator_loss(discriminator: Callable[[Tensor], Tensor], latents: Se
 
 
 def domain_r1_penalty(discriminator: Callable[[Tensor], Tensor], latents: Sequence[Tensor]) -> Tensor:
-    """The discriminator's penalty: half the squared slope of the log-odds it gives a latent's own domain.
+    """The discriminator's penalty, a scalar: half the squared slope of the log-odds it gives a latent's own domain.
 
     Where the domains overlap, the discriminator could go on telling single latents apart by ever steeper logits, and
     the encoder would be led by these instead of by where the domains lie. See :func:`r1_penalty`, to which
-    the latents of every domain are real ones here.
+    the latents of every domain are real ones here. The gradient reaches the discriminator alone.
 
     Args:
-        discriminator: As in :func:`domain_discriminator_loss`.
-        latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits; detached here.
-
-    Returns:
-        Scalar, mean over the samples of all domains, whose gradient reaches the discriminator.
+        discriminator: ``(B, Z)`` → ``(B, D)``.
+        latents: One tensor ``(B_d, Z)`` a domain, in the order of the logits.
 
     Example:
         >>> latents = [torch.zeros(4, 1), torch.ones(2, 1)]

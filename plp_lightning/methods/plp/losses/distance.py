@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def full_precision(tensor: Tensor) -> Tensor:
-    """The tensor in float32 at least: half-precision latents are compared in single precision."""
+    """``tensor (...)`` in float32 at least: half-precision latents are compared in single precision."""
     return tensor.to(torch.promote_types(tensor.dtype, torch.float32))
 
 
@@ -20,11 +20,8 @@ def inverse_distance(squared: Tensor, norms: Tensor) -> Tensor:
     distance, and its gradient is finite everywhere.
 
     Args:
-        squared: Squared distances, any shape; rounding may have made some of them negative.
-        norms: ``|a|² + |b|²``, same shape.
-
-    Returns:
-        Same shape.
+        squared: Squared distances ``(...)``, some of which rounding may have made negative.
+        norms: ``|a|² + |b|²``, ``(...)`` as the result.
     """
     noise = 4 * torch.finfo(squared.dtype).eps
     return squared.masked_fill(squared <= noise * norms, torch.inf).rsqrt()

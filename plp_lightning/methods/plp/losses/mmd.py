@@ -1,4 +1,4 @@
-"""Maximum mean discrepancy: how far apart the domains lie in the latent space."""
+"""Maximum mean discrepancy: distance of the domains in the latent space."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ def mmd(latents: Sequence[Tensor], scale_gradient: bool = True, bandwidths: Sequ
     with m the mean distance between two different rows of the pooled batch, of all domains. A kernel sees gaps of about
     its own width: with h = 1 alone two domains may lie side by side at half the mean distance, each place in another
     direction, and the means over all places hardly differ; narrower kernels beside it see that. Where the gradient
-    flows through m, scaling the latents changes nothing, so the loss can't be lowered by shrinking them; but a few
-    rows that run far away raise m and with it f between all others, aligned or not. Where m counts as a constant,
-    nothing is gained by that.
-    Expectations are means over all pairs of rows, a row with itself included (the biased estimate), so that
-    two samples of one distribution are about ``(1/B_x + 1/B_y)(1 - mean f)`` apart. See "Cross-Domain Policy
-    Transfer by Representation Alignment via Multi-Domain Behavioral Cloning"
-    (https://arxiv.org/abs/2407.16912), Eq. 2 and its appendix on training details (h = 1), and "A Kernel
-    Two-Sample Test" (https://jmlr.org/papers/v13/gretton12a.html), Eq. 5.
+    flows through m, scaling the latents changes nothing, so the loss can't be lowered by shrinking them; but a few rows
+    that run far away raise m and with it f between all others, aligned or not. Where m counts as a constant, nothing is
+    gained by that. Expectations are means over all pairs of rows, a row with itself included (the biased estimate), so
+    that two samples of one distribution are about ``(1/B_x + 1/B_y)(1 - mean f)`` apart. See "Cross-Domain Policy
+    Transfer by Representation Alignment via Multi-Domain Behavioral Cloning" (https://arxiv.org/abs/2407.16912), Eq. 2
+    and its appendix on training details (h = 1), and "A Kernel Two-Sample Test"
+    (https://jmlr.org/papers/v13/gretton12a.html), Eq. 5.
 
     Args:
         latents: One tensor ``(B_d, Z)`` for each of two or more domains; batch sizes may differ.
@@ -55,7 +54,7 @@ def mmd(latents: Sequence[Tensor], scale_gradient: bool = True, bandwidths: Sequ
 
 
 def pair_weights(sizes: Sequence[int], like: Tensor) -> Tensor:
-    """What each pair of pooled rows contributes to the mean over pairs of domains.
+    """Weight of each pair of pooled rows in the mean over pairs of domains.
 
     Args:
         sizes: Rows of each of the D domains, N in total.
@@ -77,9 +76,8 @@ class _KernelSum(torch.autograd.Function):
     Written out because automatic differentiation would cost a second matrix product (it doesn't know that s is
     symmetric) and twice the passes over ``(N, N)``:
 
-        dL/ds_ij = -k_ij / m² + r_ij / d_ij,  where k_ij = sum_h w_ij exp(-s_ij / (h m)²) / h²
-        r = sum_ij k_ij s_ij / m³ / (N (N - 1)), or 0 where m counts as a constant
-        dL/dx_i = 4 sum_j dL/ds_ij (x_i - x_j)
+        dL/ds_ij = -k_ij / m² + r_ij / d_ij,  where k_ij = sum_h w_ij exp(-s_ij / (h m)²) / h² r = sum_ij k_ij s_ij / m³
+        / (N (N - 1)), or 0 where m counts as a constant dL/dx_i = 4 sum_j dL/ds_ij (x_i - x_j)
     """
 
     @staticmethod
@@ -99,9 +97,9 @@ class _KernelSum(torch.autograd.Function):
             narrowed = torch.exp(ratio * -(width**-2)).mul_(weights)
             total += narrowed.sum()
             kernel.add_(narrowed, alpha=width**-2)
-        slope = (
-            torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs if scale_gradient else torch.zeros_like(scale)
-        )
+        slope = torch.zeros_like(scale)
+        if scale_gradient:
+            slope = torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs
         ctx.save_for_backward(points, kernel, inverse, scale, slope)
         return total
 

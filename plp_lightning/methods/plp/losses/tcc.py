@@ -9,8 +9,9 @@ from torch import Tensor
 
 from plp_lightning.methods.plp.losses.distance import full_precision, inverse_distance
 
+Similarity = Literal["distance", "squared", "scaled"]
 TEMPERATURE = 0.1
-"""Of the ``scaled`` softmax, as the authors of TCC set it."""
+"""Temperature of the ``scaled`` softmax, as the authors of TCC set it."""
 
 
 def tcc(
@@ -18,7 +19,7 @@ def tcc(
     first_mask: Tensor,
     second: Tensor,
     second_mask: Tensor,
-    first_softmax: Literal["distance", "squared", "scaled"] = "distance",
+    first_softmax: Similarity = "distance",
     reduction: Literal["mean", "sum"] = "mean",
 ) -> Tensor:
     r"""Cycle loss over pairs of encoded demonstrations of the same task, one of each of two domains.
@@ -66,7 +67,7 @@ def tcc(
     return (there + back).mean() / 2
 
 
-def _similarity(squared: Tensor, norms: Tensor, kind: Literal["distance", "squared", "scaled"], size: int) -> Tensor:
+def _similarity(squared: Tensor, norms: Tensor, kind: Similarity, size: int) -> Tensor:
     """Logits of the soft nearest neighbour; same shape as the squared distances."""
     if kind == "distance":
         return -squared * inverse_distance(squared, norms)
@@ -77,17 +78,9 @@ def _cycle(similarity: Tensor, product: Tensor, norm: Tensor, mask: Tensor, othe
     """Cross-entropy of coming back to the own frame, summed over the valid frames.
 
     The second softmax needs no soft neighbour in the latent space: ``-|ṽ - u|²`` is ``2 ṽu - |u|²`` plus a
-    number that is the same for all u, and ``ṽu`` is a weighted mean of products that are known already.
-
-    Args:
-        similarity: Logits of the soft nearest neighbour, ``(P, T, T')``.
-        product: Inner products of the latents, ``(P, T, T')``.
-        norm: ``|u|²``, ``(P, T)``.
-        mask: Valid frames of the trajectory that is left and returned to, ``(P, T)``.
-        other_mask: Valid frames of the other one, ``(P, T')``.
-
-    Returns:
-        ``(P,)``.
+    number that is the same for all u, and ``ṽu`` is a weighted mean of products that are known already. Takes the
+    logits of the soft nearest neighbour and inner products ``(P, T, T')``, ``|u|²`` and the valid frames ``(P, T)`` of
+    the trajectory that is left and returned to, and those ``(P, T')`` of the other; gives ``(P,)``.
     """
     never = torch.finfo(similarity.dtype).min
     weights = similarity.masked_fill(~other_mask[:, None], never).softmax(-1)  # (P, T, T')

@@ -1,0 +1,222 @@
+"""Alignment terms: the losses that Alignment adds to behavioural cloning, each a thin module over a pure function."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from datamodules.errors import ConfigError
+from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from datamodules.types import PackedTrajectories, Steps
+from plp_lightning.losses import reconstruction
+from plp_lightning.methods.plp.losses import (
+    domain_discriminator_loss,
+    domain_generator_loss,
+    domain_r1_penalty,
+    mmd,
+    standardise_jointly,
+    tcc,
+)
+from plp_lightning.methods.plp.losses.tcc import Similarity
+from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.networks import ImageDecoder, mlp, split_by_domain, with_frozen_parameters
+from plp_lightning.networks.vision import downsampled_sizes
+
+
+class EncodedBatch(NamedTuple):
+    """A batch of the alignment phase and its latent states."""
+
+    latent: Mapping[str, Tensor]
+    """s_z of the steps, ``(B_d, Z)`` by domain."""
+    steps: Mapping[str, Steps]
+    """The steps themselves, with their raw images, by domain."""
+    pair_latent: Mapping[str, Tensor]
+    """s_z of all frames of the paired trajectories, ``(F_d, Z)`` by domain; empty unless a term asks for pairs."""
+    pairs: Mapping[str, PackedTrajectories]
+    """The paired trajectories of two domains; empty unless a term asks for pairs."""
+
+
+class AlignmentTerm(Configured, nn.Module, ABC):
+    """One loss, or several that belong together, which Alignment adds to behavioural cloning.
+
+    Subclasses name their settings, the ``weight`` (λ) among them, in the constructor, and put networks of their own
+    together there. Such networks are trained along with the policy and are no part of it.
+
+    Args:
+        policy: The policy that is aligned.
+    """
+
+    needs_pairs: ClassVar[bool] = False
+    """True for terms that compare paired trajectories, which the batches then hold."""
+
+    def __init__(self, policy: PortablePolicy) -> None:
+        super().__init__()
+
+    @abstractmethod
+    def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
+        """Losses of a batch by the name under which they are logged, each a scalar and its weight.
+
+        Without an entry, the batch holds nothing that the term looks at.
+        """
+
+
+TermFactory = Callable[[PortablePolicy], AlignmentTerm]
+"""Makes a term for a policy: a class, or a class with some of its settings."""
+
+
+class MMD(AlignmentTerm):
+    """λ_MMD L_MMD (paper, Eq. 2) of the latent states, see :func:`plp_lightning.methods.plp.losses.mmd`.
+
+    Args:
+        policy: The policy that is aligned.
+        weight: λ_MMD.
+        bandwidths: Widths of the kernels, in mean distances; the paper has one of 1.
+        scale_gradient: Let the gradient flow through the mean distance that is divided by. Without, a few latent
+            states can't lower the loss by running away from all others.
+
+    Raises:
+        ConfigError: If there is no kernel.
+    """
+
+    def __init__(
+        self,
+        policy: PortablePolicy,
+        weight: NonNegativeFloat = 0.1,
+        bandwidths: tuple[PositiveFloat, ...] = (1.0,),
+        scale_gradient: bool = True,
+    ) -> None:
+        super().__init__(policy)
+        if not bandwidths:
+            raise ConfigError("MMD.bandwidths is empty; expected one or more widths above 0")
+        self.weight, self.bandwidths, self.scale_gradient = weight, tuple(bandwidths), scale_gradient
+
+    def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
+        return {"mmd": (mmd([*batch.latent.values()], self.scale_gradient, self.bandwidths), self.weight)}
+
+
+class TCC(AlignmentTerm):
+    """λ_TCC L_TCC (paper, Section 4.1) of paired trajectories, see :func:`plp_lightning.methods.plp.losses.tcc`.
+
+    Args:
+        policy: The policy that is aligned.
+        weight: λ_TCC.
+        similarity: First softmax: distances as printed in the paper, squared, or squared and scaled.
+    """
+
+    needs_pairs = True
+
+    def __init__(
+        self, policy: PortablePolicy, weight: NonNegativeFloat = 0.2, similarity: Similarity = "distance"
+    ) -> None:
+        super().__init__(policy)
+        self.weight, self.similarity = weight, similarity
+
+    def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
+        (first, one), (second, other) = ((batch.pair_latent[d], pairs) for d, pairs in batch.pairs.items())
+        loss = tcc(first[one.frame], one.mask, second[other.frame], other.mask, self.similarity)
+        return {"tcc": (loss, self.weight)}
+
+
+class DomainDiscriminator(nn.Module):
+    """Tells from a latent state of ``latent`` numbers, Z, which of D ``domains`` it came from."""
+
+    def __init__(self, latent: int, domains: int, hidden: int, layers: int) -> None:
+        super().__init__()
+        self.net = mlp(latent, hidden, layers, domains)
+
+    def forward(self, latent: Tensor) -> Tensor:
+        """``(B, Z)`` → logits ``(B, D)``; gradients reach the discriminator."""
+        logits: Tensor = self.net(latent)
+        return logits
+
+
+class DomainAdversarial(AlignmentTerm):
+    """Encoder against a discriminator of domains, which learns along, in the place of MMD (paper, ablation "-disc").
+
+    Each loss reaches one player only, so one optimizer step serves both.
+
+    Args:
+        policy: The policy that is aligned.
+        weight: Weight of the encoder's loss.
+        penalty_weight: γ of the penalty on the discriminator's slope, so that it can't become certain.
+        layers: Hidden layers of the discriminator.
+        hidden: Units in its hidden layers.
+    """
+
+    def __init__(
+        self,
+        policy: PortablePolicy,
+        weight: NonNegativeFloat = 0.1,
+        penalty_weight: NonNegativeFloat = 1.0,
+        layers: PositiveInt = 4,
+        hidden: PositiveInt = 192,
+    ) -> None:
+        super().__init__(policy)
+        self.weight, self.penalty_weight = weight, penalty_weight
+        self.discriminator = DomainDiscriminator(policy.latent_size, len(policy.domains), hidden, layers)
+
+    def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
+        latents = standardise_jointly([*batch.latent.values()])
+        losses = {
+            "adversarial": (domain_generator_loss(with_frozen_parameters(self.discriminator), latents), self.weight),
+            "discriminator": (domain_discriminator_loss(self.discriminator, latents), 1.0),
+        }
+        if self.penalty_weight > 0:
+            losses["penalty"] = (domain_r1_penalty(self.discriminator, latents), self.penalty_weight)
+        return losses
+
+
+class ImageReconstruction(AlignmentTerm):
+    """An image decoder that mirrors the policy's image encoder and learns along; nothing where there is no camera.
+
+    Latent states must keep what there was to see, so that a task to come finds it there (paper, appendix on
+    architectures).
+
+    Args:
+        policy: The policy that is aligned.
+        weight: Weight of the loss; 0 leaves the image decoder away.
+        downsampling: Number of times that images are halved before; each makes the image decoder, the costliest part
+            of a step with images, a layer shorter.
+
+    Raises:
+        ConfigError: If no layer would be left.
+    """
+
+    def __init__(
+        self, policy: PortablePolicy, weight: NonNegativeFloat = 1.0, downsampling: NonNegativeInt = 0
+    ) -> None:
+        super().__init__(policy)
+        self.weight, self.order = weight, {domain: i for i, domain in enumerate(policy.domains)}
+        self.image_decoder = _image_decoder(policy, downsampling) if weight > 0 else None
+
+    def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
+        if self.image_decoder is None:
+            return {}
+        images = {d: s.observation.image for d, s in batch.steps.items() if s.observation.image is not None}
+        loss = reconstruction(self.reconstruct({domain: batch.latent[domain] for domain in images}), images)
+        return {"reconstruction": (loss, self.weight)}
+
+    def reconstruct(self, latent: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Images as far as latent states tell of them: ``(B_d, Z)`` → ``(B_d, H, W, C)`` in (0, 1), by domain."""
+        assert self.image_decoder is not None, "expected a policy that sees and a weight above 0"
+        joined = torch.cat([*latent.values()])
+        numbers, sizes = ([self.order[domain] for domain in latent], [len(part) for part in latent.values()])
+        domain = torch.repeat_interleave(torch.tensor(numbers), torch.tensor(sizes)).to(joined.device)
+        return split_by_domain(self.image_decoder(joined, domain), latent)
+
+
+def _image_decoder(policy: PortablePolicy, downsampling: int) -> ImageDecoder | None:
+    if policy.image_shape is None:
+        return None
+    channels = policy.image_channels
+    if downsampling >= len(channels):
+        raise ConfigError(
+            f"ImageReconstruction.downsampling is {downsampling}; expected 0 to {len(channels) - 1}; lower it"
+        )
+    height, width, colours = policy.image_shape
+    shape = (*downsampled_sizes((height, width), downsampling)[-1], colours)
+    return ImageDecoder(policy.latent_size, len(policy.domains), shape, channels[downsampling:])
