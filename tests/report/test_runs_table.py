@@ -73,5 +73,5 @@ def test_kept_results_have_their_rows() -> None:
 
 def test_results_that_were_measured_with_other_settings_than_meant_say_so() -> None:
     for row in rows():
-        touched = row["method"].split("_")[0] in ("gama", "cdil", "contextual")
+        touched = row["method"].split("_")[0] in ("gama", "cdil", "contextual") and "_meant_" not in row["name"]
         assert touched == row["note"].endswith("to be measured again"), row["name"]
