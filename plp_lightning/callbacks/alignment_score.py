@@ -24,16 +24,11 @@ class AlignmentMetrics(Callback):
     """
 
     def __init__(
-        self,
-        score: AlignmentScore,
-        data: TransferDataModule,
-        simulators: Mapping[str, Simulator],
-        every_n_epochs: int,
+        self, score: AlignmentScore, data: TransferDataModule, simulators: Mapping[str, Simulator], every_n_epochs: int
     ) -> None:
         self.score, self.data, self.simulators, self.every_n_epochs = score, data, simulators, every_n_epochs
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Measure, if it is this epoch's turn."""
         turn = self.every_n_epochs > 0 and (trainer.current_epoch + 1) % self.every_n_epochs == 0
         if turn and isinstance(pl_module, Phase) and isinstance(pl_module.policy, AligningPolicy):
             for name, value in self.score(pl_module.policy, self.data, self.simulators).items():

@@ -71,16 +71,13 @@ class RandomState(Callback):
         self.loaded: dict[str, Any] | None = None
 
     def state_dict(self) -> dict[str, Any]:
-        """States of torch, Python and numpy as plain data."""
         name, keys, *rest = np.random.get_state(legacy=True)
         return {"torch": torch.get_rng_state(), "python": random.getstate(), "numpy": (name, keys.tolist(), *rest)}  # type: ignore[union-attr]
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Keep the states until training goes on."""
         self.loaded = state_dict
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Put the loaded states back, once."""
         if self.loaded is None:
             return
         torch.set_rng_state(self.loaded["torch"])

@@ -47,11 +47,9 @@ class SimulatorEvaluation(Callback):
         self.cost, self.last = FIRST_GUESS, time.monotonic()
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Begin to count the time of training."""
         self.last = time.monotonic()
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Evaluate, if it is this epoch's turn."""
         if self._due(trainer.current_epoch + 1) and isinstance(pl_module, Phase):
             began = time.monotonic()
             self._evaluate(pl_module)

@@ -37,7 +37,6 @@ class FreezeGuard(Callback):
         self.before: dict[str, str] = {}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Freeze, then hash or compare with the hashes that a checkpoint brought."""
         for module in _frozen(pl_module).values():
             module.requires_grad_(False)
         now = self._hashes(pl_module)
@@ -50,19 +49,12 @@ class FreezeGuard(Callback):
             module.eval()
 
     def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Compare.
-
-        Raises:
-            FrozenPartsChangedError: If a frozen parameter or buffer differs from before.
-        """
         self._compare(self._hashes(pl_module))
 
     def state_dict(self) -> dict[str, Any]:
-        """The hashes from before training."""
         return {"before": self.before}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over the hashes from before the interruption."""
         self.before = state_dict["before"]
 
     def _compare(self, now: dict[str, str]) -> None:

@@ -31,11 +31,6 @@ class FiniteGuard(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Look at the loss.
-
-        Raises:
-            DivergedError: If it is not finite.
-        """
         if batch_idx % self.every_n_steps == 0 and not torch.isfinite(_loss(outputs)).all():
             raise DivergedError(_message(trainer, pl_module, "the loss is not finite"))
 

@@ -35,7 +35,6 @@ class Preemption(Callback):
         self.previous: dict[int, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Watch for signals while there is something to save."""
         for number in (signal.SIGTERM, signal.SIGINT):
             self.previous[number] = signal.signal(number, self._notice)
 
@@ -49,25 +48,14 @@ class Preemption(Callback):
                 trainer.save_checkpoint(self.checkpoint)
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Leave before the next step, when the one before has been logged.
-
-        Raises:
-            PreemptedError: If a signal has come and the state is saved.
-        """
         if self.saved:
             raise PreemptedError(self.received)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Leave after the last epoch, which has saved itself.
-
-        Raises:
-            PreemptedError: If a signal has come.
-        """
         if self.received:
             raise PreemptedError(self.received)
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Give the signals back."""
         while self.previous:
             signal.signal(*self.previous.popitem())
 

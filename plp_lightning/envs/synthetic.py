@@ -49,7 +49,6 @@ class LinearPoint(Simulator):
         self.rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
     def spec(self, name: str) -> DomainSpec:
-        """The lifted position; two actions."""
         keys = (ObservationKey("position", (self.state_size,)),)
         return DomainSpec(name, keys, 2, control_hz=10.0, env=f"LinearPoint({self.map_seed})")
 
@@ -68,13 +67,11 @@ class LinearPoint(Simulator):
         return np.array([np.cos(angle), np.sin(angle)])
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Points near the centre."""
         self.goals = self.goals_of(tasks, seeds)
         self.point = np.array([start_generator(seed).uniform(-0.3, 0.3, 2) for seed in seeds])
         return self._observe(np.arange(len(tasks)))
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Move by the action turned back into the plane."""
         invalid = ~np.isfinite(actions).all(axis=1)
         clean = np.clip(np.nan_to_num(actions), -1, 1)
         self.point[episodes] += STRIDE * clean @ self.rotation
@@ -107,7 +104,6 @@ class SeenPoint(LinearPoint):
         self.view = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
     def spec(self, name: str) -> DomainSpec:
-        """The lifted position and an image; two actions."""
         camera = ObservationKey("camera", (self.image_size, self.image_size, 3), kind="image")
         keys = (camera, ObservationKey("position", (self.state_size,)))
         return DomainSpec(name, keys, 2, control_hz=10.0, env=f"SeenPoint({self.map_seed})")
@@ -123,7 +119,6 @@ class SeenPoint(LinearPoint):
         return self.spots(seeds)[np.arange(len(tasks)), [self.tasks.names.index(task) for task in tasks]]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Points near the centre, spots in an order of their own."""
         self.colours = self.spots(seeds)
         return super().reset(tasks, seeds)
 
@@ -152,13 +147,11 @@ class LinearPointExpert(Expert):
         self.gain = gain
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Look up the goals and the maps."""
         if not isinstance(simulator, LinearPoint):
             raise UserError(f"LinearPointExpert demonstrates in LinearPoint only, not in {type(simulator).__name__}")
         self.simulator, self.goals = simulator, simulator.goals_of(tasks, seeds)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """The clipped velocity towards the goal, in the domain's own action frame."""
         point = (observation.state - self.simulator.shift) @ self.simulator.lift
         velocity = self.gain * (self.goals[episodes] - point)
         speed = np.linalg.norm(velocity, axis=1, keepdims=True)

@@ -107,7 +107,6 @@ class Closeness(Metric):
         self.position_b.append(position_b)
 
     def compute(self) -> Tensor:
-        """Scalar in [0, 1]."""
         latents = dim_zero_cat(self.latent_a), dim_zero_cat(self.latent_b)
         return closeness(*latents, dim_zero_cat(self.position_a), dim_zero_cat(self.position_b))
 
@@ -143,7 +142,6 @@ class TopAccuracy(Metric):
         self.latent_b.append(latent_b)
 
     def compute(self) -> Tensor:
-        """Scalar in [0, 1]."""
         return top_accuracy(dim_zero_cat(self.latent_a), dim_zero_cat(self.latent_b), self.k)
 
 

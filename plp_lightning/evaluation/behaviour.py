@@ -29,5 +29,4 @@ class StepsToSuccess(BehaviourMetric):
     name = "steps_to_success"
 
     def value(self, outcome: Episodes) -> float | None:
-        """The mean; None if no episode succeeded."""
         return float(np.mean(outcome.steps[outcome.success])) if outcome.success.any() else None

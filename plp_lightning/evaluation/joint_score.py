@@ -37,13 +37,11 @@ class JointScore(AlignmentScore):
     def of_target(
         self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
-        """Gives the scores of all on the target task by name."""
         return _joined((score, score.of_target(policy, data, simulators)) for score in self.scores)
 
     def correspondences(
         self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
     ) -> dict[str, Observation[Tensor]] | None:
-        """Gives the correspondences of the first score that knows some; None if none does."""
         known = (score.correspondences(data, simulators, count) for score in self.scores)
         return next((found for found in known if found is not None), None)
 

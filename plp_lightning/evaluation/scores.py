@@ -105,10 +105,7 @@ class ClosenessScore(AlignmentScore):
         return {"closeness_target": self._closeness(policy, simulators, states)}
 
     def _closeness(
-        self,
-        policy: AligningPolicy,
-        simulators: Mapping[str, Simulator],
-        states: Mapping[str, Observation[Tensor]],
+        self, policy: AligningPolicy, simulators: Mapping[str, Simulator], states: Mapping[str, Observation[Tensor]]
     ) -> float:
         latents = [encode(policy, domain, seen) for domain, seen in states.items()]
         places = [torch.from_numpy(places_of(simulators[domain], seen)) for domain, seen in states.items()]

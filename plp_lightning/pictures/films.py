@@ -33,17 +33,14 @@ class FilmRecorder(Observer):
         self.most = most
 
     def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
-        """Forget earlier episodes, and keep how these begin."""
         self._tasks, self._success = tuple(tasks), np.zeros(len(tasks), dtype=np.bool_)
         self._images: list[list[np.ndarray]] = [[] for _ in self._tasks[: self.most]]
         self._keep(observation, np.arange(len(tasks)))
 
     def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
-        """Keep what the cameras see now."""
         self._keep(step.observation, episodes)
 
     def end(self, outcome: Episodes) -> None:
-        """Keep which episodes succeeded."""
         self._success = outcome.success
 
     def films(self, count: int) -> list[Film]:

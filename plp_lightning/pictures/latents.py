@@ -64,7 +64,6 @@ class LatentPicture(Callback):
         self.score, self.simulators = score, simulators or {}
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Draw, if it is this epoch's turn."""
         epoch = trainer.current_epoch + 1
         turn = self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
         policy = pl_module.policy if isinstance(pl_module, Phase) else None

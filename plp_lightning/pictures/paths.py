@@ -37,18 +37,15 @@ class PathRecorder(Observer):
         self.simulator, self.plan = simulator, plan
 
     def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
-        """Forget earlier episodes, and keep where these begin."""
         self._tasks, self._success = tuple(tasks), np.zeros(len(tasks), dtype=np.bool_)
         self._positions = [[place] for place in self.simulator.shared_position(observation.state)]
 
     def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
-        """Keep where the episodes are now."""
         places = self.simulator.shared_position(step.observation.state)
         for episode, place in zip(episodes, places, strict=True):
             self._positions[episode].append(place)
 
     def end(self, outcome: Episodes) -> None:
-        """Keep which episodes succeeded."""
         self._success = outcome.success
 
     @property

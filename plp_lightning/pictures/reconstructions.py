@@ -30,7 +30,6 @@ class ReconstructionPicture(Callback):
         self.samples = samples
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Draw, if this was the last epoch and there is something to draw."""
         last = trainer.current_epoch + 1 == trainer.max_epochs
         if last and isinstance(pl_module, Alignment) and _decoders(pl_module):
             data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]

@@ -40,11 +40,6 @@ class LiftExpert(Expert):
     """
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Look up where each episode's block rests.
-
-        Raises:
-            ConfigError: If ``simulator`` is not a :class:`Lift`, or a task is unknown.
-        """
         if not isinstance(simulator, Lift):
             raise ConfigError(f"LiftExpert got simulator {type(simulator).__name__}; expected Lift, pair them so")
         spec = simulator.spec(simulator.robot)
@@ -54,7 +49,6 @@ class LiftExpert(Expert):
         self._blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""
         hand = observation.state[:, self._hand].astype(np.float64)
         block = self._blocks[episodes]
         aside = np.linalg.norm(block[:, :2] - hand[:, :2], axis=1)

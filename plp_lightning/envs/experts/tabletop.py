@@ -37,17 +37,11 @@ class ReachExpert(Expert):
     """Moves the fingertips to the ball, slower as they get there."""
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Remember whom to ask for the balls.
-
-        Raises:
-            ConfigError: If ``simulator`` is not a :class:`Reach`.
-        """
         if not isinstance(simulator, Reach):
             raise ConfigError(f"ReachExpert got simulator {type(simulator).__name__}; expected Reach, pair them so")
         self._simulator = simulator
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""
         return reach(observation.state[:, :3], self._simulator.aims(episodes))
 
 
@@ -55,18 +49,12 @@ class WindowExpert(Expert):
     """Gathers above the handle, descends beside it, pushes."""
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Remember whom to ask for the handles, and which windows are to be opened.
-
-        Raises:
-            ConfigError: If ``simulator`` is not a :class:`Window`.
-        """
         if not isinstance(simulator, Window):
             raise ConfigError(f"WindowExpert got simulator {type(simulator).__name__}; expected Window, pair them so")
         self._simulator = simulator
         self._opens = np.array([task == "open" for task in tasks], dtype=np.bool_)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""
         return push(observation.state[:, :3], self._simulator.aims(episodes), self._opens[episodes])
 
 

@@ -29,12 +29,6 @@ class WalkerExpert(Expert):
         self._width = width
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Look up the routes of the tasks and read the gait.
-
-        Raises:
-            ConfigError: If the simulator is no walker's maze, or the gait belongs to another body.
-            CheckpointError: If there is no gait.
-        """
         if not isinstance(simulator, WalkerMaze):
             found = type(simulator).__name__
             raise ConfigError(
@@ -50,7 +44,6 @@ class WalkerExpert(Expert):
         self._guide = Guide(self._maze, tasks, self._width)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Torques ``(n, A)`` for states ``(n, O)``."""
         directions = self.directions(observation.state, episodes)
         return self._gait.act(observation.state, directions).astype(np.float32)
 

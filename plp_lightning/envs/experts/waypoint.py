@@ -74,11 +74,6 @@ class WaypointExpert(Expert):
         self._width = width
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Look up the routes of the tasks.
-
-        Raises:
-            ConfigError: If the simulator is no point's maze.
-        """
         if not isinstance(simulator, PointMaze):
             found = type(simulator).__name__
             raise ConfigError(
@@ -88,7 +83,6 @@ class WaypointExpert(Expert):
         self._guide = Guide(self._maze, tasks, self._width)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Forces ``(n, 2)`` for states ``(n, 4)``."""
         states = self._maze.states_in_maze(observation.state)
         aims = self._maze.frame.centres(self._guide.aims(observation.state, episodes))
         forces = self._gain * (aims - states[:, :2]) - self._damping * states[:, 2:]

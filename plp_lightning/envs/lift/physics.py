@@ -30,7 +30,6 @@ class LiftPhysics(Engine[Workspace]):
         super().__init__(self.lift.model, threads)
 
     def room(self, data: mujoco.MjData) -> Workspace:
-        """A desk, and room for the controller."""
         return Workspace.of(self.model, data)
 
     def reset(self, blocks: np.ndarray, noise: np.ndarray) -> np.ndarray:

@@ -76,18 +76,12 @@ class Lift(Simulator):
         return position
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin E episodes; the first call builds the model.
-
-        Raises:
-            ConfigError: If a task is unknown.
-        """
         blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
         joints = JOINTS[self.robot][0]
         noise = np.array([self._noise(task, seed, joints) for task, seed in zip(tasks, seeds, strict=True)])
         return Observation(self._physics.reset(blocks, noise.reshape(-1, joints)))
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
         physics = self._physics
         valid = physics.step(actions, episodes)
         return Step(Observation(physics.episodes.observation[episodes]), physics.lifted(episodes) & valid, ~valid)

@@ -74,15 +74,9 @@ class Maze(Simulator):
         return self.layout.tasks
 
     def spec(self, name: str) -> DomainSpec:
-        """Observation and action space: positions in m, velocities in m/s or rad/s, in the maze's frame."""
         return DomainSpec(name, self._keys(), self._action_size, 100 / self.frame_skip, self._description)
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin episodes at rest, at a random place in the start zone of their tasks.
-
-        Raises:
-            ConfigError: If this maze has no such task.
-        """
         chosen = [self.layout.task(name) for name in tasks]
         starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
@@ -98,7 +92,6 @@ class Maze(Simulator):
         return self._observe(everyone)
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, A)``; an episode whose physics diverged is invalid and keeps its last valid state."""
         controls = self.actions_in_maze(np.clip(actions.astype(np.float64), -1, 1))
         self._before_step(episodes)
         valid = self._physics.hold(episodes, controls, self.frame_skip, self._forward)

@@ -25,7 +25,6 @@ class MazePhysics(Engine[Desk]):
         self.physical = slice(self.qpos.start, self.qvel.stop)
 
     def room(self, data: mujoco.MjData) -> Desk:
-        """A desk is all that it takes."""
         return Desk.of(self.model, data)
 
     def hold(self, rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool = False) -> np.ndarray:

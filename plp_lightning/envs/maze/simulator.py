@@ -73,21 +73,17 @@ class PointMaze(Maze):
             self._description += f", mirror {mirror}, quarter_turns {quarter_turns}, metre {metre}"
 
     def states_in_maze(self, states: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.states_in_maze`."""
         found: np.ndarray = _planar(states, self._seen.T) / states.dtype.type(self._metre)
         return found
 
     def states_of_domain(self, states: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.states_of_domain`."""
         seen: np.ndarray = _planar(states, self._seen) * states.dtype.type(self._metre)
         return seen
 
     def actions_in_maze(self, actions: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.actions_in_maze`."""
         return _planar(actions, self._moved.T)
 
     def actions_of_domain(self, actions: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.actions_of_domain`."""
         return _planar(actions, self._moved)
 
     _body = "point"

@@ -65,7 +65,6 @@ class TabletopPhysics(Engine[Room]):
         super().__init__(scene.model, threads)
 
     def room(self, data: mujoco.MjData) -> Room:
-        """A desk, and a camera of its own."""
         return Room(data, Desk.of(self.model, data), Camera(self.model, self.viewpoint, self.image_size))
 
     def reset(self, layouts: Sequence[Layout]) -> Observation[np.ndarray]:

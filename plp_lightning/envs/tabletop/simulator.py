@@ -93,12 +93,6 @@ class Tabletop(Simulator):
         return position
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin E episodes; the first call builds the model and finds a renderer.
-
-        Raises:
-            ConfigError: If a task is unknown.
-            UserError: If images cannot be drawn on this machine.
-        """
         self.tasks.check(tasks)
         layouts = [self._layout(task, self._stream(seed)) for task, seed in zip(tasks, seeds, strict=True)]
         first = self._physics.reset(layouts)
@@ -106,7 +100,6 @@ class Tabletop(Simulator):
         return first
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
         observation, invalid = self._physics.step(actions, episodes)
         return Step(observation, self._solved(episodes) & ~invalid, invalid)
 
@@ -157,7 +150,6 @@ class Reach(Tabletop):
         return " ".join(self.tasks.names[ball] for ball in np.argsort(order))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Place ``(n, 3)`` of the ball to be touched, m."""
         aims: np.ndarray = self._balls[episodes, self._goal[episodes]]
         return aims
 
@@ -192,7 +184,6 @@ class Window(Tabletop):
     tasks = Tasks("V2V-Open", (*AREAS, "open"))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Place ``(n, 3)`` of the handle, m."""
         handle: np.ndarray = self._physics.sites[episodes, self._handle[episodes]]
         return handle
 
