@@ -16,8 +16,8 @@ from typing import Any, Generic, TypeVar
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.native import STATE
-from plp_lightning.envs.threads import available_cores
 
 R = TypeVar("R")
 Change = Callable[[R, np.ndarray, np.ndarray, np.ndarray], object]
@@ -59,12 +59,12 @@ class Engine(ABC, Generic[R]):
         """Make of a thread's MjData what the thread works with."""
 
     def columns(self, part: mujoco.mjtState) -> slice:
-        """Columns of the states that hold one part, such as ``mjtState.mjSTATE_MOCAP_POS``."""
+        """Columns of ``states (E, S)`` that hold one part, such as ``mjtState.mjSTATE_MOCAP_POS``."""
         start = mujoco.mj_stateSize(self.model, STATE & (int(part) - 1))
         return slice(start, start + mujoco.mj_stateSize(self.model, int(part)))
 
     def begin(self, episodes: int) -> None:
-        """Make a row for each of so many episodes: the model's reference configuration at rest."""
+        """Make ``states (E, S)`` for so many episodes: the model's reference configuration at rest."""
         row = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, mujoco.MjData(self.model), row, STATE)
         self.states = np.tile(row, (episodes, 1))
@@ -83,13 +83,15 @@ class Engine(ABC, Generic[R]):
 
     def share(self, count: int, work: Callable[[R, slice], object]) -> None:
         """Do ``work`` on all parts of ``range(count)``, each in some thread's room."""
-        parts = list(self._parts(count))
+        parts = [*self._parts(count)]
         left = iter(parts)
 
         def labour() -> None:
-            room = self._enter()
+            if _own.data is None:
+                data = mujoco.MjData(self.model)
+                _own.room, _own.data = self.room(data), data
             for part in left:  # whoever is free takes the next
-                work(room, part)
+                work(_own.room, part)
 
         for job in [self._pool.submit(labour) for _ in range(min(self.threads, len(parts)))]:
             job.result()
@@ -101,10 +103,3 @@ class Engine(ABC, Generic[R]):
             stop = min(count, start + max(self.least, (count - start) // (2 * self.threads)))
             yield slice(start, stop)
             start = stop
-
-    def _enter(self) -> R:
-        if _own.data is None:
-            data = mujoco.MjData(self.model)
-            _own.room, _own.data = self.room(data), data
-        room: R = _own.room
-        return room

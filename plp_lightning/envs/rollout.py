@@ -33,7 +33,7 @@ class Observer:
         """Hear what ``actions (n, A)`` brought to the ``episodes (n,)`` that still ran."""
 
     def end(self, outcome: Episodes) -> None:
-        """Hear how the episodes ended."""
+        """Hear how the E episodes ended: ``(E,)`` each of success, divergence and length."""
 
 
 def rollout(
@@ -53,14 +53,16 @@ def rollout(
         seeds: Seed of each episode.
         hold_steps: Control steps for which an episode goes on after its first success.
         observers: Hear everything, the observations after the last actions included.
+
+    Returns:
+        Success, divergence and length of each episode, ``(E,)`` each.
     """
     observation = simulator.reset(tasks, seeds)
     for observer in observers:
         observer.begin(tasks, seeds, observation)
     running = np.arange(len(tasks))
     solved_at = np.full(len(tasks), simulator.horizon + 1)
-    invalid = np.zeros(len(tasks), dtype=bool)
-    steps = np.full(len(tasks), simulator.horizon)
+    invalid, steps = np.zeros(len(tasks), dtype=bool), np.full(len(tasks), simulator.horizon)
     for t in range(1, simulator.horizon + 1):
         actions = act(observation, running)
         step = simulator.step(actions, running)

@@ -1,6 +1,6 @@
 """The MuJoCo model of R2R-Lift: robosuite's Lift with a block on a pedestal, and where its parts are.
 
-Importing this module imports robosuite; :mod:`plp_lightning.envs.lift.simulator` does so at the first reset only.
+Importing it imports robosuite; :mod:`plp_lightning.envs.lift.simulator` does so at the first reset only.
 """
 
 from __future__ import annotations
@@ -60,8 +60,7 @@ class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robos
     def _load_model(self) -> None:
         super()._load_model()
         pedestal = ET.SubElement(self.model.worldbody, "body", name="pedestal", mocap="true", pos="0 0 0.7")
-        size = " ".join(map(str, PEDESTAL_HALF))
-        friction = " ".join(map(str, self.table_friction))
+        size, friction = (" ".join(map(str, numbers)) for numbers in (PEDESTAL_HALF, self.table_friction))
         ET.SubElement(pedestal, "geom", name="pedestal_g", type="box", size=size, friction=friction, group="1")
         geoms = {geom.get("name"): geom for geom in self.model.root.iter("geom")}
         for name in ("cube_g0", "cube_g0_vis"):
@@ -76,7 +75,7 @@ def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
     """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer.
 
     Args:
-        robot: Robot's name in robosuite.
+        robot: Its name in robosuite.
         joint_noise: Standard deviation of the initial joint angles, rad.
     """
     with _quiet():
@@ -103,9 +102,8 @@ class LiftModel:
     model: mujoco.MjModel
     arm: Arm
     rest_pose: np.ndarray
-    """Arm joints ``(n,)`` in robosuite's initial pose, rad."""
+    """Arm joints ``(n,)`` in robosuite's initial pose, rad; ``open_fingers (g,)`` likewise, m or rad."""
     open_fingers: np.ndarray
-    """Finger joints ``(g,)`` in robosuite's initial pose, m or rad."""
     pedestal: int
     """Row of the pedestal in mocap_pos."""
 

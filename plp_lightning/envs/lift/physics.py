@@ -16,12 +16,7 @@ LIFTED = 0.04
 
 
 class LiftPhysics(Engine[Workspace]):
-    """The episodes of one robot.
-
-    Args:
-        robot: Which.
-        threads: Threads that step physics; 0 means one for each core.
-    """
+    """The episodes of one robot, stepped by so many ``threads``; 0 means one for each core."""
 
     episodes: Episodes
 
@@ -45,10 +40,9 @@ class LiftPhysics(Engine[Workspace]):
         first = 3 * self.lift.pedestal
         mocap[:, first : first + 3] = blocks
         mocap[:, first + 2] -= BLOCK_HALF
-        mocap[:, first + 2] -= PEDESTAL_HALF[2]
-        observed = np.zeros((count, size), dtype=np.float32)
-        self.episodes = Episodes(self.states, np.zeros(count), rest, observed, blocks[:, 2].copy())
-        self.rest_z = blocks[:, 2]
+        mocap[:, first + 2] -= PEDESTAL_HALF[2]  # apart: the sum of both would round otherwise
+        observed, self.rest_z = np.zeros((count, size), dtype=np.float32), blocks[:, 2]
+        self.episodes = Episodes(self.states, np.zeros(count), rest, observed, self.rest_z.copy())
         self.share(count, lambda work, part: begin_episodes(arm, work, self.episodes, part.start, part.stop))
         return observed.copy()
 

@@ -29,9 +29,8 @@ class Arm(NamedTuple):
     """``(g,)``, as is finger_dof."""
     finger_dof: np.ndarray
     finger_actuators: np.ndarray
-    """``(f,)``."""
+    """``(f,)``, as are the signs with which they follow the gripper's command."""
     finger_signs: np.ndarray
-    """``(f,)``: how each actuator follows the gripper's command."""
     finger_limits: np.ndarray
     """``(f, 2)`` least and greatest control."""
 

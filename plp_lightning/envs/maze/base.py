@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
@@ -26,46 +27,35 @@ FrameName = Literal["d4rl", "gymnasium"]
 
 
 class Maze(Simulator):
-    """A body in a maze whose tasks are pairs of a start zone and a goal cell; goals are never observed.
-
-    Args:
-        layout: Which maze.
-        frame: ``d4rl``: x grows with the rows of the maze for the point, with its columns for walkers, as in the
-            paper's data; ``gymnasium``: Gymnasium-Robotics' frame, origin in the middle, the same for all bodies.
-        radius: Distance from the goal that counts as success, in cells.
-        jitter: Largest offset of a start from its cell's centre along each axis, in cells.
-        horizon: Control steps of an episode; None takes the default of the body and the layout.
-        threads: Threads that step physics; 0 means one for each core.
-    """
+    """A body in a maze whose tasks are pairs of a start zone and a goal cell; goals are never observed."""
 
     scale: ClassVar[float]
-    """Side of a cell, in m."""
+    """Side of a cell, m."""
     frame_skip: ClassVar[int]
     """Physics steps of 10 ms in one control step."""
-    _wall_height: ClassVar[float]
-    """Height of the walls, in m."""
-    _forward: ClassVar[bool]
-    """True if Gymnasium-Robotics computes forces before each control step."""
     horizons: ClassVar[dict[str, int]]
     """Default horizon of each layout."""
+    _wall_height: ClassVar[float]  # m
+    _forward: ClassVar[bool]
+    """True if Gymnasium-Robotics computes forces before each control step."""
+    _body: str
+    _action_size: int
 
     def __init__(
         self,
         layout: LayoutName,
         frame: FrameName = "d4rl",
-        radius: float = 0.5,
-        jitter: float = 0.25,
-        horizon: int | None = None,
-        threads: int = 0,
+        radius: NonNegativeFloat = 0.5,
+        jitter: NonNegativeFloat = 0.25,
+        horizon: PositiveInt | None = None,
+        threads: NonNegativeInt = 0,
     ) -> None:
         if layout not in LAYOUTS:
             raise ConfigError(f"unknown maze layout {layout!r}; expected one of: {', '.join(LAYOUTS)}")
         self.layout = LAYOUTS[layout]
         self.frame = Frame.gymnasium(self.layout.shape, self.scale) if frame == "gymnasium" else self._d4rl_frame()
-        self.horizon = self.horizons[layout] if horizon is None else horizon
-        self.threads = threads
-        self._radius = radius * self.scale
-        self._jitter = jitter
+        self.horizon, self.threads = horizon or self.horizons[layout], threads
+        self._radius, self._jitter = radius * self.scale, jitter
         self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
 
     @property
@@ -123,27 +113,14 @@ class Maze(Simulator):
         goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.by_name.items()}
         return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
 
-    @property
     @abstractmethod
-    def _body(self) -> str:
-        """Name of the body in the maze."""
-
-    @property
-    @abstractmethod
-    def _action_size(self) -> int:
-        """Number of motors."""
+    def _keys(self) -> tuple[ObservationKey, ...]: ...
 
     @abstractmethod
-    def _keys(self) -> tuple[ObservationKey, ...]:
-        """Parts of the state."""
+    def _mjcf(self, walls: Sequence[Box]) -> str: ...
 
     @abstractmethod
-    def _mjcf(self, walls: Sequence[Box]) -> str:
-        """The body between walls."""
-
-    @abstractmethod
-    def _d4rl_frame(self) -> Frame:
-        """D4RL's frame for this body."""
+    def _d4rl_frame(self) -> Frame: ...
 
     @cached_property
     def _physics(self) -> MazePhysics:

@@ -49,14 +49,7 @@ class TabletopModel:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, sites: Sequence[str], furniture: Sequence[str], joint: str) -> TabletopModel:
-        """Find the parts by their names.
-
-        Args:
-            model: The scene.
-            sites: Sites at the object, if any.
-            furniture: Mocap bodies.
-            joint: The object's joint.
-        """
+        """Find the parts by the names of sites at the object, of mocap bodies and of the object's joint."""
         tips = ("rightEndEffector", "leftEndEffector")
         qpos, qvel = int(model.joint(joint).qposadr[0]), int(model.joint(joint).dofadr[0])
         free = model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_FREE
@@ -74,15 +67,10 @@ class TabletopModel:
 
 @cache
 def reach_model(image_size: int) -> TabletopModel:
-    """Meta-World's Reach with three coloured balls and its puck unseen, built once in a process.
-
-    Args:
-        image_size: Height and width of the largest image, pixels.
-    """
+    """Meta-World's Reach with three coloured balls and its puck unseen, for images up to that size; built once."""
     spec = read_scene(REACH_FILE)
     for name, rgba in BALLS.items():
-        ball = spec.worldbody.add_body(name=name, mocap=True)
-        sphere = mujoco.mjtGeom.mjGEOM_SPHERE
+        ball, sphere = spec.worldbody.add_body(name=name, mocap=True), mujoco.mjtGeom.mjGEOM_SPHERE
         ball.add_geom(type=sphere, size=[BALL_RADIUS, 0, 0], rgba=rgba, contype=0, conaffinity=0, mass=0.0)
     model = _finish(spec, image_size)
     model.geom("objGeom").group[:] = HIDDEN
@@ -91,11 +79,7 @@ def reach_model(image_size: int) -> TabletopModel:
 
 @cache
 def window_model(image_size: int) -> TabletopModel:
-    """Meta-World's window, which stands elsewhere in each episode, built once in a process.
-
-    Args:
-        image_size: Height and width of the largest image, pixels.
-    """
+    """Meta-World's window, which stands elsewhere in each episode, for images up to that size; built once."""
     spec = read_scene(WINDOW_FILE)
     # A mocap body's place is state, not model, so one model serves all episodes.
     spec.body("window").mocap = True

@@ -54,8 +54,8 @@ class TabletopPhysics(Engine[Room]):
     """The last observations of E episodes, and how they advance.
 
     Args:
-        scene: What is simulated.
-        viewpoint: Where the camera stands.
+        scene: Model that is simulated.
+        viewpoint: Place of the camera.
         image_size: Height and width of the images, pixels.
         threads: Threads that step and draw; 0 means one for each core.
     """
@@ -68,7 +68,7 @@ class TabletopPhysics(Engine[Room]):
         return Room(data, Desk.of(self.model, data), Camera(self.model, self.viewpoint, self.image_size))
 
     def reset(self, layouts: Sequence[Layout]) -> Observation[np.ndarray]:
-        """Begin an episode for each layout."""
+        """Begin E episodes, one for each layout; their first observations ``(E, …)``."""
         count, size = len(layouts), self.image_size
         self.begin(count)
         self.observed = np.zeros((count, 8), dtype=np.float32)
@@ -79,11 +79,7 @@ class TabletopPhysics(Engine[Room]):
         return self._observation(np.arange(count))
 
     def step(self, actions: np.ndarray, rows: np.ndarray) -> tuple[Observation[np.ndarray], np.ndarray]:
-        """One control step of ``rows (n,)``; an invalid one leaves its episode as it was.
-
-        Returns:
-            Observations of the rows, and which are invalid, ``(n,)`` bool.
-        """
+        """Observations ``(n, …)`` after one control step of ``rows (n,)``, and a mask ``(n,)`` of the invalid ones."""
         valid = self.advance(rows, actions, self._change)
         return self._observation(rows), ~valid
 

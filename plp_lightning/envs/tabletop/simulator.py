@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
@@ -63,20 +64,23 @@ class Tabletop(Simulator):
         threads: Threads that step and draw; 0 means one for each core.
 
     Raises:
-        ConfigError: If an argument is out of its range.
+        ConfigError: If there is no such view, or no image of that size.
     """
 
-    def __init__(self, view: View, image_size: int = 64, horizon: int = 150, threads: int = 0) -> None:
+    def __init__(
+        self, view: View, image_size: int = 64, horizon: PositiveInt = 150, threads: NonNegativeInt = 0
+    ) -> None:
         if view not in get_args(View):
             raise ConfigError(f"view is {view!r}; expected one of: {', '.join(get_args(View))}")
         if not 8 <= image_size <= 512:
             raise ConfigError(f"image_size is {image_size}; expected 8 to 512 pixels")
-        if horizon < 1 or threads < 0:
-            raise ConfigError(f"horizon is {horizon}, threads is {threads}; expected at least 1 and at least 0")
         self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
 
     def spec(self, name: str) -> DomainSpec:
-        """An image, and position of the hand and opening of the gripper, now and one control step ago."""
+        """An image ``(H, W, 3)``, and place ``(3,)`` of the hand and opening ``(1,)`` of the gripper, twice.
+
+        The second time they are those of one control step ago.
+        """
         keys = (
             ObservationKey("image", (self.image_size, self.image_size, 3), kind="image"),
             ObservationKey("hand_pos", (3,), unit="m"),
@@ -127,8 +131,7 @@ class Tabletop(Simulator):
         from plp_lightning.envs.rendering.camera import Viewpoint
         from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
-        viewpoint = Viewpoint(*VIEWS[self.view])
-        return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads)
+        return TabletopPhysics(self._scene(), Viewpoint(*VIEWS[self.view]), self.image_size, self.threads)
 
     def _stream(self, seed: int) -> np.random.Generator:
         # The view joins the seed, so that equal seeds do not align the domains' episodes.
@@ -146,7 +149,7 @@ class Reach(Tabletop):
 
     def arrangement(self, task: str, seed: int) -> str:
         """The balls in the order of their places, ``red green blue`` for instance; the task does not matter."""
-        _, order = _draw_reach(self._stream(seed))
+        order = _draw_reach(self._stream(seed))[1]
         return " ".join(self.tasks.names[ball] for ball in np.argsort(order))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
