@@ -1,7 +1,4 @@
-"""Views that a simulator may have beside its observations, for pictures and scores; training and testing need none.
-
-A simulator has a view if it has the method. Whoever needs one asks for it here.
-"""
+"""Views beside observations, for pictures and scores alone: a simulator has one if it has the method."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ class FloorPlan:
     Args:
         walls: Centres of the square blocks that walls are made of, ``(W, 2)``.
         side: Side of a block.
-        goals: Where each task ends.
+        goals: End of each task, row and column.
         radius: Distance from its goal at which a task is solved.
     """
 
@@ -52,7 +49,7 @@ class Arranged(Protocol):
     """A simulator whose episodes of a task differ by more than continuous amounts."""
 
     def arrangement(self, task: str, seed: int) -> str:
-        """A word for what an episode of ``task`` with ``seed`` holds in which place."""
+        """A word for the places of things in the episode of ``task`` with ``seed``."""
 
 
 def located(simulator: object) -> Located:
@@ -61,9 +58,9 @@ def located(simulator: object) -> Located:
     Raises:
         UserError: If it does not.
     """
-    if not isinstance(simulator, Located):
-        raise UserError(
-            f"{type(simulator).__name__} knows no position that domains share; give it shared_position(state), "
-            "or choose another --score"
-        )
-    return simulator
+    if isinstance(simulator, Located):
+        return simulator
+    raise UserError(
+        f"{type(simulator).__name__} knows no position that domains share; give it shared_position(state), "
+        "or choose another --score"
+    )

@@ -1,8 +1,15 @@
 """Operational-space control without Python: a control step of an episode, physics and all, is one compiled call.
 
-The control law is robosuite 1.5's position controller (https://robosuite.ai/docs/modules/controllers.html),
-after O. Khatib, "A unified approach for motion and force control of robot manipulators: the operational
-space formulation", IEEE J. Robotics and Automation 3(1), 1987, with force and torque decoupled.
+The control law is robosuite 1.5's position controller (https://robosuite.ai/docs/modules/controllers.html), after
+O. Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation",
+IEEE J. Robotics and Automation 3(1), 1987. With M the inertia of the arm, J the Jacobian of the hand, F the wanted
+acceleration of the hand, u that of the joints towards their posture, and g the bias force, a step computes
+
+1. ``L = (J M^-1 J')^-1``, the inertia that the hand feels, and ``Lv``, ``Lw`` of the linear and angular halves of J;
+2. ``F = kp (x_goal - x) - kd J q'``, for the position and, likewise, for the orientation;
+3. ``tau = J' [Lv F_v; Lw F_w]``, force and torque decoupled as robosuite does;
+4. ``tau += (1 - J' L J M^-1) M u``, the posture in the null space, where the hand does not feel it;
+5. ``tau += g``, gravity and Coriolis forces.
 """
 
 from __future__ import annotations
@@ -54,11 +61,11 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> None:
             # At a singular pose rounding may leave a pivot below zero.
             matrix[i, j] = np.sqrt(max(rest, 1e-15)) if i == j else rest / matrix[j, j]
     for c in range(columns):
-        for i in range(size):
+        for i in range(size):  # forwards: C y = right, with the factor C
             for k in range(i):
                 right[i, c] -= matrix[i, k] * right[k, c]
             right[i, c] /= matrix[i, i]
-        for i in range(size - 1, -1, -1):
+        for i in range(size - 1, -1, -1):  # backwards: C' x = y
             for k in range(i + 1, size):
                 right[i, c] -= matrix[k, i] * right[k, c]
             right[i, c] /= matrix[i, i]
@@ -72,24 +79,25 @@ def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) ->
         arm: The robot.
         work: Its state.
         goal: Position ``(3,)`` of the end effector, m.
-        velocity: Of the end effector, linear above angular ``(6, 1)``.
+        velocity: Velocity ``J q'`` of the end effector, linear above angular ``(6, 1)``.
     """
     pull = np.zeros((6, 1))
     rotation = work.site_rotation[arm.site].reshape(3, 3)
     for axis in range(3):
-        pull[axis, 0] = goal[axis] - work.site_pos[arm.site, axis]
+        pull[axis, 0] = goal[axis] - work.site_pos[arm.site, axis]  # x_goal - x
         a, b = (axis + 1) % 3, (axis + 2) % 3
-        for column in range(3):  # half the sum of cross products of the actual and the wanted axes
+        # Orientation error: 1/2 sum_c r_c x d_c, cross products of the actual axes r and the wanted axes d.
+        for column in range(3):
             turn = rotation[a, column] * DOWN[b, column] - rotation[b, column] * DOWN[a, column]
             pull[3 + axis, 0] += 0.5 * turn
-    for axis in range(6):
+    for axis in range(6):  # F = kp error - kd J q', equation 2
         pull[axis, 0] = STIFFNESS * pull[axis, 0] - DAMPING * velocity[axis, 0]
     return pull
 
 
 @inner
 def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Matrix product; for matrices this small a loop is faster than a call of BLAS."""
+    """Product ``(n, k)`` of ``(n, m)`` and ``(m, k)``; for matrices this small a loop is faster than a call of BLAS."""
     out = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
         for k in range(left.shape[1]):
@@ -108,6 +116,7 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
         goal: Position ``(3,)`` of the end effector, m.
         rest: Posture ``(n,)``, rad.
     """
+    # M of the whole scene from MuJoCo's sparse form, and J of the hand; both are then cut down to the arm's joints.
     mj_full_m(work.desk.model, work.mass.ctypes.data, work.inertia.ctypes.data)
     linear, angular = work.jacobian[:3], work.jacobian[3:]
     mj_jac_site(work.desk.model, work.desk.data, linear.ctypes.data, angular.ctypes.data, arm.site)
@@ -117,6 +126,7 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
     for i in range(size):
         dof = arm.dof[i]
         speed[i, 0] = work.qvel[dof]
+        # u = kp (q_rest - q) - kd q'
         posture[i, 0] = REST_STIFFNESS * (rest[i] - work.qpos[arm.qpos[i]]) - REST_DAMPING * speed[i, 0]
         for j in range(size):
             mass[i, j] = work.mass[dof, arm.dof[j]]
@@ -124,7 +134,7 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
             jacobian[axis, i] = work.jacobian[axis, dof]
     total = combine(mass, jacobian, wrench(arm, work, goal, product(jacobian, speed)), posture)
     for i in range(size):
-        total[i, 0] += work.bias[arm.dof[i]]
+        total[i, 0] += work.bias[arm.dof[i]]  # tau += g, equation 5
     return total
 
 
@@ -132,8 +142,8 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
 def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: np.ndarray) -> np.ndarray:
     """Torques ``(n, 1)`` of the task, and of the posture where the hand does not feel it.
 
-    With the task inertia ``L = (J M^-1 J')^-1`` the posture torque ``N' M u`` of the null space
-    ``N = 1 - M^-1 J' L J`` is ``M u - J' L J u``, so no inverse of M or L is formed.
+    Equations 3 and 4 together: the posture torque ``N' M u`` of the null space ``N = 1 - M^-1 J' L J`` is
+    ``M u - J' L J u``, so that both go through ``J'`` at once and no inverse of M or L is formed.
 
     Args:
         mass: Inertia M of the arm ``(n, n)``; overwritten.
@@ -141,16 +151,16 @@ def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: n
         pull: Wanted acceleration of the hand ``(6, 1)``; overwritten.
         posture: Wanted acceleration u of the joints ``(n, 1)``.
     """
-    held = product(mass, posture)
+    held = product(mass, posture)  # M u, while M is whole
     flexible = jacobian.T.copy()
-    solve(mass, flexible)
-    mobility = product(jacobian, flexible)
-    unwanted = product(jacobian, posture)
-    solve(mobility[:3, :3].copy(), pull[:3])
-    solve(mobility[3:, 3:].copy(), pull[3:])
-    solve(mobility, unwanted)
+    solve(mass, flexible)  # M^-1 J'
+    mobility = product(jacobian, flexible)  # L^-1 = J M^-1 J', equation 1
+    unwanted = product(jacobian, posture)  # J u, how the hand would feel the posture
+    solve(mobility[:3, :3].copy(), pull[:3])  # Lv F_v, from the diagonal blocks of L^-1
+    solve(mobility[3:, 3:].copy(), pull[3:])  # Lw F_w
+    solve(mobility, unwanted)  # L J u
     pull -= unwanted
-    held += product(jacobian.T, pull)
+    held += product(jacobian.T, pull)  # M u + J' ([Lv F_v; Lw F_w] - L J u)
     return held
 
 
@@ -178,11 +188,11 @@ def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, res
     """
     desk, goal = work.desk, np.empty(3)
     for substep in range(SUBSTEPS):
-        # What has no place or speed must not reach the controller, nor MuJoCo's search for contacts.
+        # States without a place or speed must not reach the controller, nor MuJoCo's search for contacts.
         if not (sane(work.qpos) and sane(work.qvel)):
             return False
         mj_step1(desk.model, desk.data)
-        if substep == 0:
+        if substep == 0:  # the goal stands still for the whole control step
             for axis in range(3):
                 goal[axis] = work.site_pos[arm.site, axis] + REACH * min(max(action[axis], -1.0), 1.0)
         actuate(arm, work, torques(arm, work, goal, rest), grip)
@@ -210,7 +220,7 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
 
 @entry
 def begin_episodes(arm: Arm, work: Workspace, episodes: Episodes, start: int, stop: int) -> None:
-    """Work out what follows from the first states of the episodes from ``start`` to ``stop``, and observe them."""
+    """Compute kinematics and forces of the first ``state (E, S)`` from ``start`` to ``stop``, and observe them."""
     for row in range(start, stop):
         load(work.desk, episodes.state[row])
         mj_forward(work.desk.model, work.desk.data)
@@ -228,7 +238,7 @@ def step_episodes(
         arm: The robot.
         work: The calling thread's own room.
         episodes: All episodes, updated in place.
-        rows: Which, ``(m,)``.
+        rows: Rows of those to advance, ``(m,)``.
         actions: ``(m, 4)`` float64, clipped here to [-1, 1].
         valid: ``(m,)``: whether the action is finite; False afterwards where the simulation diverged, too.
     """
