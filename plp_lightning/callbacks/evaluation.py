@@ -12,10 +12,8 @@ from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
 from plp_lightning.methods.phase import Phase
 
-FIRST_GUESS = 1.0
-"""What an evaluation is taken to cost before the first one, s."""
-SHARE = 0.1
-"""Of the time since the last evaluation, what the next one may take if nothing else is asked for."""
+FIRST_GUESS = 1.0  # what an evaluation is taken to cost before the first one, s
+SHARE = 0.1  # share of the time since the last evaluation that the next one may take if nothing else is asked for
 
 
 class SimulatorEvaluation(Callback):

@@ -20,8 +20,7 @@ R = TypeVar("R")
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 """Everything of an MjData that the next step depends on, warm start, controls and mocap bodies among it."""
-DIVERGED = 1e6
-"""A state beyond this in any coordinate has blown up, well before MuJoCo's own limit of 1e10."""
+DIVERGED = 1e6  # a state beyond this in any coordinate has blown up, well before MuJoCo's own limit of 1e10
 
 
 # Compiled code finds MuJoCo's functions by name, so that it can be cached on disk.

@@ -20,12 +20,9 @@ from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
 from plp_lightning.envs.tasks import Tasks
 
-GOALS = 8
-"""Goals on the unit circle; a task is one of them."""
-RADIUS = 0.15
-"""An episode succeeds within this distance of its goal."""
-STRIDE = 0.1
-"""Distance that a full action moves the point in one control step."""
+GOALS = 8  # goals on the unit circle; a task is one of them
+RADIUS = 0.15  # an episode succeeds within this distance of its goal
+STRIDE = 0.1  # distance that a full action moves the point in one control step
 
 
 class LinearPoint(Simulator):

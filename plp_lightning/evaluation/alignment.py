@@ -9,8 +9,7 @@ from torchmetrics.utilities import dim_zero_cat
 
 from datamodules.errors import UserError
 
-CLOSEST = 0.05
-"""Share of all cross-domain pairs that counts as close; so much is scored by chance."""
+CLOSEST = 0.05  # share of all cross-domain pairs that counts as close; so much is scored by chance
 
 
 def closeness(latent_a: Tensor, latent_b: Tensor, position_a: Tensor, position_b: Tensor) -> Tensor:

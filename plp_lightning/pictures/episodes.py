@@ -16,8 +16,7 @@ from plp_lightning.pictures.path_figure import Panel, path_figure
 from plp_lightning.pictures.paths import PathRecorder, path_recorders
 from plp_lightning.pictures.publish import publish, publish_film
 
-FILMED = 4
-"""Episodes that are filmed for each that is shown, so that there are failures to show."""
+FILMED = 4  # episodes that are filmed for each that is shown, so that there are failures to show
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,11 @@ from PIL import Image, ImageDraw
 from plp_lightning.pictures.films import Film
 from plp_lightning.pictures.path_figure import FAILED, SOLVED
 
-IMAGES = 8
-"""Images in a strip: the first, the last, and others evenly between."""
-TILE = 96
-"""Least side of an image in a moving picture, pixels."""
-BORDER = 4
-"""Width of the frame around it, pixels."""
-CAPTION = 16
-"""Height of the line of text above a row, pixels."""
-EVERY = 2
-"""Control steps from one frame of a moving picture to the next."""
+IMAGES = 8  # images in a strip: the first, the last, and others evenly between
+TILE = 96  # least side of an image in a moving picture, pixels
+BORDER = 4  # width of the frame around it, pixels
+CAPTION = 16  # height of the line of text above a row, pixels
+EVERY = 2  # control steps from one frame of a moving picture to the next
 
 
 def film_figure(reels: Mapping[str, Sequence[Film]]) -> Figure:

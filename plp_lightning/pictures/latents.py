@@ -25,8 +25,7 @@ COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 """One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart
 (https://jfly.uni-koeln.de/color/)."""
 
-MARKERS = "o^sDvP"
-"""One a domain, in turn."""
+MARKERS = "o^sDvP"  # one a domain, in turn
 LEGEND: dict[str, Any] = {
     "loc": "upper center",
     "bbox_to_anchor": (0.5, 0),

@@ -17,8 +17,7 @@ from plp_lightning.pictures.paths import Paths
 SOLVED, FAILED, GOAL = "#0072B2", "#D55E00", "#009E73"
 """Blue, vermilion and green of Okabe and Ito's palette, which the colour-blind can tell apart
 (https://jfly.uni-koeln.de/color/)."""
-SIZE = 5.0
-"""Side of a panel, in inches."""
+SIZE = 5.0  # side of a panel, in inches
 
 
 class Panel(NamedTuple):

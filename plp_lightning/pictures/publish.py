@@ -16,8 +16,7 @@ from PIL import Image
 from datamodules.store.atomic import locked_folder, replacing
 
 DPI = 120
-FRAME_TIME, LAST_FRAME_TIME = 50, 1000
-"""Time that a frame of a moving picture stays, ms."""
+FRAME_TIME, LAST_FRAME_TIME = 50, 1000  # time that a frame of a moving picture stays, ms
 
 
 def publish(trainer: Trainer, name: str, figure: Figure) -> None:

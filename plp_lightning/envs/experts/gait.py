@@ -12,10 +12,8 @@ from safetensors.numpy import load_file
 from datamodules.errors import CheckpointError
 
 WEIGHTS = Path(__file__).parent / "weights"
-TRAIN = "plp collect --config FILE --train_expert DOMAIN --weights FILE"
-"""The command that trains a gait."""
-VELOCITY_LIMIT = 10.0
-"""Velocities beyond this (m/s, rad/s) look the same to the gait."""
+TRAIN = "plp collect --config FILE --train_expert DOMAIN --weights FILE"  # the command that trains a gait
+VELOCITY_LIMIT = 10.0  # velocities beyond this (m/s, rad/s) look the same to the gait
 
 
 class Symmetry:

@@ -12,22 +12,14 @@ from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.lift.tasks import block_place
 
-GAIN = 3.0
-"""Largest share of the way to the goal that a control step covers: 1 is slow, 10 chatters."""
-STEP = 0.05
-"""Way of the hand for an action of 1, m."""
-ABOVE = 0.07
-"""Height over the block at which the hand gathers before it descends, m."""
-CLEAR = 0.045
-"""Height over the block below which the hand rises before it moves sideways, m."""
-CREEP = 0.15
-"""Share of the sideways motion that is left while the hand rises."""
-LIFT = 0.15
-"""Height to which the block is lifted, m; more than success asks for."""
-NEAR = 0.01
-"""Distance along the table and in height at which the fingers close, m."""
-OVER = 0.02
-"""Distance along the table at which the hand descends, m."""
+GAIN = 3.0  # largest share of the way to the goal that a control step covers: 1 is slow, 10 chatters
+STEP = 0.05  # way of the hand for an action of 1, m
+ABOVE = 0.07  # height over the block at which the hand gathers before it descends, m
+CLEAR = 0.045  # height over the block below which the hand rises before it moves sideways, m
+CREEP = 0.15  # share of the sideways motion that is left while the hand rises
+LIFT = 0.15  # height to which the block is lifted, m; more than success asks for
+NEAR = 0.01  # distance along the table and in height at which the fingers close, m
+OVER = 0.02  # distance along the table at which the hand descends, m
 HOLDS = {"Sawyer": (-1.0, 0.0025), "UR5e": (1.0, 0.385)}
 """Sign and threshold of the first finger joint: beyond it the fingers are as closed as on a block."""
 

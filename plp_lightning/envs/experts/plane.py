@@ -13,18 +13,12 @@ from plp_lightning.envs.experts.gait import Symmetry
 from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.walker_model import walker_mjcf
 
-SUBSTEPS = 5
-"""Physics steps of a control step."""
-HORIZON = 500
-"""Control steps of an episode."""
-REDRAW = 1 / 80
-"""Chance of a new direction and a push in each step."""
-PUSHES = (0.4, 2.0)
-"""Standard deviations of ordinary and of hard pushes, in m/s and rad/s."""
-HARD = 0.2
-"""Share of hard pushes: a walker that begins with a foot in a maze's wall is kicked as hard."""
-SPEED = 2.0
-"""Faster than this (m/s) earns nothing: walkers that run fall over when a clone errs."""
+SUBSTEPS = 5  # physics steps of a control step
+HORIZON = 500  # control steps of an episode
+REDRAW = 1 / 80  # chance of a new direction and a push in each step
+PUSHES = (0.4, 2.0)  # standard deviations of ordinary and of hard pushes, in m/s and rad/s
+HARD = 0.2  # share of hard pushes: a walker that begins with a foot in a maze's wall is kicked as hard
+SPEED = 2.0  # faster than this (m/s) earns nothing: walkers that run fall over when a clone errs
 
 
 class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any without stable-baselines3

@@ -15,22 +15,15 @@ from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.tabletop.simulator import Reach, Window
 
-REACH_GAIN = 5.0
-"""Action for each metre to the ball."""
-FINGERS = np.array([0.0, 0.0, -0.045])
-"""From the hand to the fingertips, m."""
+REACH_GAIN = 5.0  # action for each metre to the ball
+FINGERS = np.array([0.0, 0.0, -0.045])  # from the hand to the fingertips, m
 
 WINDOW_GAIN = 25.0
-BESIDE = np.array([0.03, -0.03, -0.08])
-"""From the handle to where the hand pushes it, m; x is mirrored to open."""
-ABOVE = {"open": 0.3, "close": 0.25}
-"""Height over that place at which the hand gathers, m."""
-OVER = 0.04
-"""Distance along the table at which the hand descends, m."""
-LOW = 0.02
-"""Distance in height at which the hand pushes, m."""
-PUSH = 0.1
-"""Way ahead of itself that the hand aims at then, m."""
+BESIDE = np.array([0.03, -0.03, -0.08])  # from the handle to where the hand pushes it, m; x is mirrored to open
+ABOVE = {"open": 0.3, "close": 0.25}  # height over that place at which the hand gathers, m
+OVER = 0.04  # distance along the table at which the hand descends, m
+LOW = 0.02  # distance in height at which the hand pushes, m
+PUSH = 0.1  # way ahead of itself that the hand aims at then, m
 
 
 class ReachExpert(Expert):

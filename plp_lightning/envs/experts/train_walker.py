@@ -23,10 +23,8 @@ from torch import nn
 
 from plp_lightning.envs.experts.plane import HORIZON, WalkingOnPlane
 
-NOISE = (0.5, 0.08)
-"""Largest standard deviation of the torques' exploration noise, at the beginning and at the end."""
-COARSE = 0.8
-"""Share of the training with Euler's integrator, a third of the cost of the mazes' Runge-Kutta."""
+NOISE = (0.5, 0.08)  # largest standard deviation of the torques' exploration noise, at the beginning and at the end
+COARSE = 0.8  # share of the training with Euler's integrator, a third of the cost of the mazes' Runge-Kutta
 
 Progress = Callable[[int, str], object]
 """Told after each rollout how many more steps are done, and how well the walkers walk."""

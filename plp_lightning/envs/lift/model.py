@@ -23,8 +23,7 @@ from plp_lightning.envs.lift.tasks import BLOCK_HALF, Robot
 
 PEDESTAL_HALF = (0.018, 0.018, 0.10)
 """Half size of the pedestal, m: narrower than the block, so that the fingers clear it."""
-ARENA = "16M"
-"""Room for contacts in each thread; an episode needs less than a tenth of it."""
+ARENA = "16M"  # room for contacts in each thread; an episode needs less than a tenth of it
 FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
 """Sign with which each finger's actuator follows the gripper command."""
 

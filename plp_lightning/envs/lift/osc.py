@@ -30,18 +30,14 @@ from plp_lightning.envs.native import (
     save,
 )
 
-SUBSTEPS = 25
-"""Physics steps in one control step: 20 Hz over 2 ms."""
-REACH = 0.05
-"""Way of the goal for an action of 1, m."""
+SUBSTEPS = 25  # physics steps in one control step: 20 Hz over 2 ms
+REACH = 0.05  # way of the goal for an action of 1, m
 STIFFNESS = 150.0
 DAMPING = 2.0 * STIFFNESS**0.5
 REST_STIFFNESS = 10.0
 REST_DAMPING = 2.0 * REST_STIFFNESS**0.5
-GRIPPER_SPEED = 0.2
-"""Change of the gripper's command in one control step; it runs from -1, open, to 1, closed."""
-DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Orientation that the hand keeps: fingers down."""
+GRIPPER_SPEED = 0.2  # change of the gripper's command in one control step; it runs from -1, open, to 1, closed
+DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # orientation that the hand keeps: fingers down
 
 
 @inner

@@ -11,8 +11,7 @@ from plp_lightning.envs.lift.osc import begin_episodes, step_episodes
 from plp_lightning.envs.lift.state import Episodes, Workspace
 from plp_lightning.envs.lift.tasks import BLOCK_HALF, Robot
 
-LIFTED = 0.04
-"""Rise of the block above its rest that counts as success, m."""
+LIFTED = 0.04  # rise of the block above its rest that counts as success, m
 
 
 class LiftPhysics(Engine[Workspace]):

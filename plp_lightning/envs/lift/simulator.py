@@ -22,8 +22,7 @@ from plp_lightning.envs.lift.tasks import TASKS, Robot, block_place
 if TYPE_CHECKING:
     from plp_lightning.envs.lift.physics import LiftPhysics
 
-JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}
-"""Joints of the arm and of the fingers."""
+JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}  # joints of the arm and of the fingers
 
 
 class Lift(Simulator):

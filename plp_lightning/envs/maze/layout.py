@@ -14,8 +14,7 @@ from plp_lightning.envs.tasks import Tasks
 if TYPE_CHECKING:
     import networkx as nx
 
-Cell = tuple[int, int]
-"""Row and column, from the upper left corner of the drawing."""
+Cell = tuple[int, int]  # row and column, from the upper left corner of the drawing
 
 
 class MazeTask(NamedTuple):

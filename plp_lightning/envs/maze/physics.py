@@ -8,8 +8,7 @@ import numpy as np
 from plp_lightning.envs.engine import Engine
 from plp_lightning.envs.native import Desk, entry, load, mj_forward, mj_step, save
 
-LEAST = 8
-"""Episodes that a thread takes at a time: a step of one point is shorter than the way into compiled code."""
+LEAST = 8  # episodes that a thread takes at a time: a step of one point is shorter than the way into compiled code
 
 
 class MazePhysics(Engine[Desk]):

@@ -13,10 +13,8 @@ from plp_lightning.envs.maze.base import FrameName, LayoutName, Maze
 from plp_lightning.envs.maze.layout import Frame
 from plp_lightning.envs.maze.walker_model import Box, walker_mjcf, wall_geoms
 
-FLIP = np.diag([1.0, -1.0])
-"""(x, y) → (x, -y), as a matrix that rows are multiplied with."""
-TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
-"""(x, y) → (-y, x), likewise."""
+FLIP = np.diag([1.0, -1.0])  # (x, y) → (x, -y), as a matrix that rows are multiplied with
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # (x, y) → (-y, x), likewise
 
 
 class PointMaze(Maze):

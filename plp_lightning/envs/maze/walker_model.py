@@ -6,8 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-GEAR = 150.0
-"""Torque of a motor at action 1, in N m."""
+GEAR = 150.0  # torque of a motor at action 1, in N m
 
 
 class Box(NamedTuple):

@@ -10,12 +10,9 @@ from collections.abc import Collection
 import mujoco
 import numpy as np
 
-MOST_FACES = 600
-"""A mesh with more triangles is decimated."""
-CELL = 0.02
-"""Edge of the grid cells in which a mesh's vertices are merged, m: about a pixel in an image of 64 × 64."""
-HIDDEN = 5
-"""A group that is not drawn."""
+MOST_FACES = 600  # a mesh with more triangles is decimated
+CELL = 0.02  # edge of the grid cells in which a mesh's vertices are merged, m: about a pixel in an image of 64 × 64
+HIDDEN = 5  # a group that is not drawn
 
 
 def lighten(spec: mujoco.MjSpec, unseen: Collection[str], image_size: int) -> mujoco.MjModel:

@@ -21,10 +21,8 @@ REACH_FILE = "sawyer_reach_v3.xml"
 WINDOW_FILE = "sawyer_window_horizontal.xml"
 BALLS = {"red": (0.9, 0.05, 0.05, 1.0), "green": (0.05, 0.7, 0.05, 1.0), "blue": (0.05, 0.1, 0.9, 1.0)}
 """Colour of each ball, RGBA."""
-BALL_RADIUS = 0.03
-"""Radius that is drawn, m: the balls touch nothing."""
-UNSEEN = ("torso", "pedestal_feet", "controller_box")
-"""Parts of the robot that are in none of our pictures."""
+BALL_RADIUS = 0.03  # radius that is drawn, m: the balls touch nothing
+UNSEEN = ("torso", "pedestal_feet", "controller_box")  # parts of the robot that are in none of our pictures
 WELD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 5.0)
 """Meta-World's weld of the hand to the point that it follows (``SawyerMocapBase.reset_mocap_welds``)."""
 

@@ -17,18 +17,12 @@ from plp_lightning.envs.native import Desk, load, save
 from plp_lightning.envs.rendering.camera import Camera, Viewpoint
 from plp_lightning.envs.tabletop.model import TabletopModel
 
-SUBSTEPS = 5
-"""Physics steps for each control step, of 2.5 ms each."""
-SETTLING = 50 * SUBSTEPS
-"""Physics steps in which the hand gets to its start."""
-ACTION_SCALE = 1.0 / 100
-"""Way of the point that the hand follows for an action of 1, m."""
-DOWN = (1.0, 0.0, 1.0, 0.0)
-"""Orientation of that point."""
-WORKSPACE = np.array([[-0.5, 0.40, 0.05], [0.5, 1.0, 0.5]])
-"""Least and greatest place of that point, m."""
-WIDEST_GRIP = 0.1
-"""Distance of the claws that counts as 1, m."""
+SUBSTEPS = 5  # physics steps for each control step, of 2.5 ms each
+SETTLING = 50 * SUBSTEPS  # physics steps in which the hand gets to its start
+ACTION_SCALE = 1.0 / 100  # way of the point that the hand follows for an action of 1, m
+DOWN = (1.0, 0.0, 1.0, 0.0)  # orientation of that point
+WORKSPACE = np.array([[-0.5, 0.40, 0.05], [0.5, 1.0, 0.5]])  # least and greatest place of that point, m
+WIDEST_GRIP = 0.1  # distance of the claws that counts as 1, m
 
 
 class Layout(NamedTuple):

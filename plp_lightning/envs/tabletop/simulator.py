@@ -33,22 +33,15 @@ VIEWS: dict[View, tuple[float, float, float]] = {
     "rear": (125.0, -30.0, 1.15),
 }
 """Azimuth and elevation, degrees, and distance, m, of the camera."""
-RADIUS = 0.05
-"""Distance that counts as there, Meta-World's, m."""
-SLOTS = np.array([[-0.15, 0.8, 0.15], [0.0, 0.8, 0.15], [0.15, 0.8, 0.15]])
-"""Places of the balls, m."""
-REACH_HAND = np.array([[-0.15, 0.5, 0.1], [0.15, 0.65, 0.3]])
-"""Lowest and highest start of the hand in Reach, m."""
-PUCK = np.array([0.0, 0.0, 100.0])
-"""Meta-World's puck is of no use here; it falls from so high that it never arrives."""
+RADIUS = 0.05  # distance that counts as there, Meta-World's, m
+SLOTS = np.array([[-0.15, 0.8, 0.15], [0.0, 0.8, 0.15], [0.15, 0.8, 0.15]])  # places of the balls, m
+REACH_HAND = np.array([[-0.15, 0.5, 0.1], [0.15, 0.65, 0.3]])  # lowest and highest start of the hand in Reach, m
+PUCK = np.array([0.0, 0.0, 100.0])  # Meta-World's puck is of no use here; it falls from so high that it never arrives
 WINDOW_HAND = np.array([[-0.1, 0.4, 0.15], [0.1, 0.5, 0.25]])
-WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])
-"""Least and greatest x and y of the window's place, m."""
+WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])  # least and greatest x and y of the window's place, m
 WINDOW_Z = 0.16
-SLIDE = 0.2
-"""Way that the window opens, m."""
-AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}
-"""Window-Close, by quarter of the area."""
+SLIDE = 0.2  # way that the window opens, m
+AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}  # Window-Close, by quarter of the area
 
 
 class Tabletop(Simulator):
