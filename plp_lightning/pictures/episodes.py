@@ -10,10 +10,8 @@ from lightning.pytorch import Trainer
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.rollout import Observer
 from plp_lightning.evaluation.simulation import EvalSetting
-from plp_lightning.pictures.film_figure import film_figure, film_frames
-from plp_lightning.pictures.films import FilmRecorder, film_recorders
-from plp_lightning.pictures.path_figure import Panel, path_figure
-from plp_lightning.pictures.paths import PathRecorder, path_recorders
+from plp_lightning.pictures.films import FilmRecorder, film_figure, film_frames, film_recorders
+from plp_lightning.pictures.paths import Panel, PathRecorder, path_figure, path_recorders
 from plp_lightning.pictures.publish import publish, publish_film
 
 FILMED = 4  # episodes that are filmed for each that is shown, so that there are failures to show

@@ -1,16 +1,27 @@
-"""Films of episodes: an observer that keeps the images of the first few."""
+"""Films of episodes: an observer that keeps the images of the first few; strips on paper, and moving pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from PIL import Image, ImageDraw
 
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.rollout import Episodes, Observer
 from plp_lightning.evaluation.simulation import EvalSetting
+from plp_lightning.pictures.paths import FAILED, SOLVED
+
+IMAGES = 8  # images in a strip: the first, the last, and others evenly between
+TILE = 96  # least side of an image in a moving picture, pixels
+BORDER = 4  # width of the frame around it, pixels
+CAPTION = 16  # height of the line of text above a row, pixels
+EVERY = 2  # control steps from one frame of a moving picture to the next
 
 
 class Film(NamedTuple):
@@ -74,3 +85,95 @@ def film_recorders(
 
 def _has_camera(simulator: Simulator, domain: str) -> bool:
     return simulator.spec(domain).image_key is not None
+
+
+def film_figure(reels: Mapping[str, Sequence[Film]]) -> Figure:
+    """One column of strips for each reel, a row for each film, at its left what it shows and how it ended.
+
+    Args:
+        reels: By title: films in the order in which they are shown.
+    """
+    rows = max(map(len, reels.values()))
+    figure = Figure(figsize=(IMAGES * len(reels), rows + 0.6), layout="constrained")
+    columns = figure.subplots(rows, len(reels), squeeze=False).T
+    for column, (title, films) in zip(columns, reels.items(), strict=True):
+        column[0].set_title(title, fontsize=12)
+        for axes, film in zip(column, films, strict=False):
+            _draw_strip(axes, film)
+        for axes in column[len(films) :]:
+            axes.axis("off")
+    return figure
+
+
+def strip(film: Film) -> np.ndarray:
+    """``IMAGES`` of a film side by side, first to last, with a white gap: ``(H, W', 3)`` uint8."""
+    times = np.linspace(0, len(film.images) - 1, IMAGES).round().astype(int)
+    gap = np.full((film.images.shape[1], 1, 3), 255, dtype=np.uint8)
+    parts = [part for image in film.images[times] for part in (image, gap)]
+    return np.concatenate(parts[:-1], axis=1)
+
+
+def film_frames(reels: Mapping[str, Sequence[Film]]) -> list[np.ndarray]:
+    """Frames of a moving picture of all films together: a row for each reel, its title above.
+
+    Shorter films wait at their last image. A frame around each tells how it ends: blue solved, vermilion failed.
+
+    Args:
+        reels: By title: films in the order in which they are shown; images of all have one shape.
+
+    Returns:
+        Frames ``(H', W', 3)`` uint8.
+    """
+    width = max(map(len, reels.values()))
+    longest = max(len(film.images) for films in reels.values() for film in films)
+    captions = {title: _caption(title, width * _tile_side(films[0])) for title, films in reels.items()}
+    times = [*range(0, longest - 1, EVERY), longest - 1]
+    return [np.concatenate([*_rows(reels, captions, width, t)]) for t in times]
+
+
+def _rows(
+    reels: Mapping[str, Sequence[Film]], captions: Mapping[str, np.ndarray], width: int, t: int
+) -> Iterator[np.ndarray]:
+    for title, films in reels.items():
+        yield captions[title]
+        tiles = [_tile(film, t) for film in films]
+        blank = np.full_like(tiles[0], 255)
+        yield np.concatenate([*tiles, *[blank] * (width - len(tiles))], axis=1)
+
+
+def _tile(film: Film, t: int) -> np.ndarray:
+    image, scale = film.images[min(t, len(film.images) - 1)], _scale(film)
+    large = image.repeat(scale, axis=0).repeat(scale, axis=1)
+    colour = (255 * np.array(_colour(film))).round().astype(np.uint8)
+    framed = np.empty((large.shape[0] + 2 * BORDER, large.shape[1] + 2 * BORDER, 3), np.uint8)
+    framed[:] = colour
+    framed[BORDER:-BORDER, BORDER:-BORDER] = large
+    return framed
+
+
+def _tile_side(film: Film) -> int:
+    return film.images.shape[2] * _scale(film) + 2 * BORDER
+
+
+def _scale(film: Film) -> int:
+    return -(-TILE // film.images.shape[2])
+
+
+def _caption(text: str, width: int) -> np.ndarray:
+    paper = Image.new("RGB", (width, CAPTION), "white")
+    ImageDraw.Draw(paper).text((BORDER, 2), text, fill="black")
+    return np.asarray(paper)
+
+
+def _draw_strip(axes: Axes, film: Film) -> None:
+    axes.imshow(strip(film))
+    axes.set(xticks=[], yticks=[])
+    for edge in axes.spines.values():
+        edge.set(color=_colour(film), linewidth=2)
+    end = "solved" if film.success else "failed"
+    text = f"{film.task}\n{end}\n{len(film.images) - 1} steps"
+    axes.set_ylabel(text, rotation=0, ha="right", va="center", fontsize=9, color=_colour(film))
+
+
+def _colour(film: Film) -> tuple[float, float, float]:
+    return to_rgb(SOLVED if film.success else FAILED)
