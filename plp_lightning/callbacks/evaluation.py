@@ -63,10 +63,8 @@ class SimulatorEvaluation(Callback):
         return self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
 
     def _evaluate(self, phase: Phase) -> None:
-        training = phase.policy.training
-        phase.policy.eval()
-        settings, episodes = self.eval_settings, self.episodes
-        outcomes = evaluate_all(phase.policy, self.simulators, settings, episodes, self.seed, self.metrics)
+        training, plan = phase.policy.training, (self.eval_settings, self.episodes, self.seed, self.metrics)
+        outcomes = evaluate_all(phase.policy.eval(), self.simulators, *plan)
         phase.policy.train(training)
         for name, outcome in outcomes.items():
             phase.log(f"eval/{name}_success", outcome.success)
@@ -79,7 +77,7 @@ class AlignmentMetrics(Callback):
     """Logs ``alignment/<score>`` every n epochs.
 
     Args:
-        score: What to measure.
+        score: Score to measure.
         data: The demonstrations.
         simulators: By domain.
         every_n_epochs: Epochs between two measurements; 0 leaves it to the end of the phase.

@@ -23,15 +23,17 @@ class PreemptedError(Exception):
 
 
 class Preemption(Callback):
-    """Turns SIGTERM and SIGINT into a checkpoint and an exit code that schedulers understand.
+    """Turns SIGTERM and SIGINT into a ``checkpoint`` and an exit code that schedulers understand.
 
-    Args:
-        checkpoint: Where to save.
+    It saves at a step's end and leaves before the next step, when the one before has been logged, or after the last
+    epoch, which has saved itself.
+
+    Raises:
+        PreemptedError: If a signal has come and the state is saved.
     """
 
     def __init__(self, checkpoint: Path) -> None:
-        self.checkpoint = checkpoint
-        self.received, self.saved = 0, False
+        self.checkpoint, self.received, self.saved = checkpoint, 0, False
         self.previous: dict[int, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -41,10 +43,9 @@ class Preemption(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Save, at a point that a resumed run can go on from; an epoch's end is left to save itself."""
         if self.received and not self.saved:
             self.saved = True
-            if batch_idx + 1 < trainer.num_training_batches:
+            if batch_idx + 1 < trainer.num_training_batches:  # an epoch's end saves itself
                 trainer.save_checkpoint(self.checkpoint)
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:

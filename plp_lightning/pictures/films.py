@@ -34,10 +34,10 @@ class Film(NamedTuple):
 
 
 class FilmRecorder(Observer):
-    """Keeps the images of the newest episodes of a domain with a camera, as far as there is room.
+    """Keeps the images ``(T + 1, H, W, 3)`` of the newest episodes of a domain with a camera.
 
     Args:
-        most: Only so many episodes are filmed, the first ones; they bound the memory that is taken.
+        most: Number of episodes that are filmed, the first ones; it bounds the memory that is taken.
     """
 
     def __init__(self, most: int) -> None:
@@ -72,27 +72,13 @@ class FilmRecorder(Observer):
 def film_recorders(
     simulators: Mapping[str, Simulator], trials: Mapping[str, EvalSetting], most: int
 ) -> dict[str, FilmRecorder]:
-    """A recorder for each trial, by its name, whose domain has a camera.
-
-    Args:
-        simulators: By domain.
-        trials: By name.
-        most: Episodes of each trial that are filmed; without any there are no recorders.
-    """
-    seen = [name for name, trial in trials.items() if _has_camera(simulators[trial.domain], trial.domain)]
-    return {name: FilmRecorder(most) for name in seen if most > 0}
-
-
-def _has_camera(simulator: Simulator, domain: str) -> bool:
-    return simulator.spec(domain).image_key is not None
+    """A recorder of the first ``most`` episodes for each trial, by its name, whose domain has a camera."""
+    specs = {name: simulators[trial.domain].spec(trial.domain) for name, trial in trials.items()}
+    return {name: FilmRecorder(most) for name, spec in specs.items() if spec.image_key is not None and most > 0}
 
 
 def film_figure(reels: Mapping[str, Sequence[Film]]) -> Figure:
-    """One column of strips for each reel, a row for each film, at its left what it shows and how it ended.
-
-    Args:
-        reels: By title: films in the order in which they are shown.
-    """
+    """One column of strips for each reel, by title, a row for each film, at its left its task and end."""
     rows = max(map(len, reels.values()))
     figure = Figure(figsize=(IMAGES * len(reels), rows + 0.6), layout="constrained")
     columns = figure.subplots(rows, len(reels), squeeze=False).T
@@ -116,17 +102,17 @@ def strip(film: Film) -> np.ndarray:
 def film_frames(reels: Mapping[str, Sequence[Film]]) -> list[np.ndarray]:
     """Frames of a moving picture of all films together: a row for each reel, its title above.
 
-    Shorter films wait at their last image. A frame around each tells how it ends: blue solved, vermilion failed.
+    Shorter films wait at their last image. A frame around each tells its end: blue solved, vermilion failed.
 
     Args:
-        reels: By title: films in the order in which they are shown; images of all have one shape.
+        reels: By title: films in the order in which they are shown; images of all have one shape ``(H, W, 3)``.
 
     Returns:
         Frames ``(H', W', 3)`` uint8.
     """
     width = max(map(len, reels.values()))
     longest = max(len(film.images) for films in reels.values() for film in films)
-    captions = {title: _caption(title, width * _tile_side(films[0])) for title, films in reels.items()}
+    captions = {title: _caption(title, width * _tile(films[0], 0).shape[1]) for title, films in reels.items()}
     times = [*range(0, longest - 1, EVERY), longest - 1]
     return [np.concatenate([*_rows(reels, captions, width, t)]) for t in times]
 
@@ -144,15 +130,10 @@ def _rows(
 def _tile(film: Film, t: int) -> np.ndarray:
     image, scale = film.images[min(t, len(film.images) - 1)], _scale(film)
     large = image.repeat(scale, axis=0).repeat(scale, axis=1)
-    colour = (255 * np.array(_colour(film))).round().astype(np.uint8)
     framed = np.empty((large.shape[0] + 2 * BORDER, large.shape[1] + 2 * BORDER, 3), np.uint8)
-    framed[:] = colour
+    framed[:] = (255 * np.array(_colour(film))).round()
     framed[BORDER:-BORDER, BORDER:-BORDER] = large
     return framed
-
-
-def _tile_side(film: Film) -> int:
-    return film.images.shape[2] * _scale(film) + 2 * BORDER
 
 
 def _scale(film: Film) -> int:
@@ -170,8 +151,7 @@ def _draw_strip(axes: Axes, film: Film) -> None:
     axes.set(xticks=[], yticks=[])
     for edge in axes.spines.values():
         edge.set(color=_colour(film), linewidth=2)
-    end = "solved" if film.success else "failed"
-    text = f"{film.task}\n{end}\n{len(film.images) - 1} steps"
+    text = f"{film.task}\n{'solved' if film.success else 'failed'}\n{len(film.images) - 1} steps"
     axes.set_ylabel(text, rotation=0, ha="right", va="center", fontsize=9, color=_colour(film))
 
 

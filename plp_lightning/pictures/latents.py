@@ -21,19 +21,11 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy
 from plp_lightning.pictures.publish import publish
 
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
-"""One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart
-(https://jfly.uni-koeln.de/color/)."""
-
+# One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # https://jfly.uni-koeln.de/color/
 MARKERS = "o^sDvP"  # one a domain, in turn
-LEGEND: dict[str, Any] = {
-    "loc": "upper center",
-    "bbox_to_anchor": (0.5, 0),
-    "ncols": 3,
-    "markerscale": 2,
-    "frameon": False,
-    "fontsize": 10,
-}
+PLACE: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "ncols": 3}
+LEGEND: dict[str, Any] = {**PLACE, "markerscale": 2, "frameon": False, "fontsize": 10}
 
 
 class LatentPicture(Callback):
@@ -47,8 +39,8 @@ class LatentPicture(Callback):
         samples: States of each domain.
         every_n_epochs: Epochs between two pictures; 0 draws one at the end of the phase only.
         pairs: Corresponding states that are joined.
-        score: Who knows which states correspond; without one nothing is joined.
-        simulators: By domain.
+        score: Score that knows which states correspond; without one nothing is joined.
+        simulators: Simulators by domain.
     """
 
     def __init__(
@@ -136,10 +128,8 @@ def _draw_kinds(axes: Axes, points: Mapping[str, np.ndarray], kinds: Mapping[str
     for i, kind in enumerate(sorted({name for names in kinds.values() for name in names})):
         for marker, (domain, names) in zip(MARKERS, kinds.items(), strict=False):
             chosen = points[domain][np.array(names) == kind]
-            label = f"{kind}, {domain}"
-            axes.scatter(
-                chosen[:, 0], chosen[:, 1], s=14, alpha=0.6, color=COLOURS[i % len(COLOURS)], marker=marker, label=label
-            )
+            colour, label = COLOURS[i % len(COLOURS)], f"{kind}, {domain}"
+            axes.scatter(chosen[:, 0], chosen[:, 1], s=14, alpha=0.6, color=colour, marker=marker, label=label)
     axes.set(xticks=[], yticks=[])
     axes.set_title("the same by arrangement", fontsize=12)
     axes.legend(**LEGEND)

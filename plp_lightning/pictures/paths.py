@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,12 +36,7 @@ class Paths:
 
 
 class PathRecorder(Observer):
-    """Keeps the positions of the newest episodes.
-
-    Args:
-        simulator: The domain.
-        plan: Its floor plan.
-    """
+    """Keeps the positions of the newest episodes of a simulator with a floor plan."""
 
     def __init__(self, simulator: Located, plan: FloorPlan) -> None:
         self.simulator, self.plan = simulator, plan
@@ -60,7 +55,7 @@ class PathRecorder(Observer):
 
     @property
     def paths(self) -> Paths:
-        """Paths of the newest episodes."""
+        """Positions ``(T + 1, P)`` and success of each of the newest episodes."""
         return Paths(self._tasks, tuple(np.array(positions) for positions in self._positions), self._success.copy())
 
 
@@ -98,17 +93,8 @@ def _draw_plan(axes: Axes, plan: FloorPlan, tasks: Sequence[str]) -> None:
     goals = np.array(sorted({plan.goals[task] for task in tasks}))
     for row, column in goals:
         axes.add_patch(Circle((column, row), plan.radius, color=GOAL, alpha=0.3))
-    axes.scatter(
-        goals[:, 1],
-        goals[:, 0],
-        s=130,
-        marker="*",
-        color=GOAL,
-        edgecolors="black",
-        linewidths=0.6,
-        zorder=5,
-        label="goal",
-    )
+    star: dict[str, Any] = {"marker": "*", "color": GOAL, "edgecolors": "black", "linewidths": 0.6}
+    axes.scatter(goals[:, 1], goals[:, 0], s=130, zorder=5, label="goal", **star)
     (low_row, low_column), (high_row, high_column) = plan.walls.min(axis=0) - half, plan.walls.max(axis=0) + half
     axes.set(xlim=(low_column, high_column), ylim=(high_row, low_row), aspect="equal", xticks=[], yticks=[])
 
