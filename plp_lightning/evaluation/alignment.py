@@ -128,7 +128,8 @@ class TopAccuracy(_Collected):
         self.k = k
 
     def compute(self) -> Tensor:
-        return top_accuracy(*self._seen(), k=self.k)
+        latent_a, latent_b = self._seen()
+        return top_accuracy(latent_a, latent_b, self.k)
 
 
 def _distances(a: Tensor, b: Tensor) -> Tensor:

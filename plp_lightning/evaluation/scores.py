@@ -167,8 +167,7 @@ def sample_states(data: TransferDataModule, domain: str, count: int) -> Observat
 def sample_rows(data: TransferDataModule, domain: str, count: int) -> np.ndarray:
     """Rows ``(count,)`` of :func:`sample_states` in the domain's dataset."""
     rows = np.sort(np.concatenate([data.rows(data.proxy_tasks, part)[domain] for part in data.parts]))
-    chosen: np.ndarray = generator(Stream.SCORED_STATES, list(data.domains).index(domain)).permutation(rows)[:count]
-    return chosen
+    return generator(Stream.SCORED_STATES, list(data.domains).index(domain)).permutation(rows)[:count]
 
 
 def guided_states(

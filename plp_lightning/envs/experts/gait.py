@@ -73,8 +73,7 @@ class Symmetry:
         legs = (np.arange(self.legs) - turns[:, None]) % self.legs
         own = actions.reshape(-1, self.legs, 2)[np.arange(len(turns))[:, None], legs] * self._signs
         # The last leg's motors come first.
-        motors: np.ndarray = np.roll(own, 1, axis=1).reshape(len(turns), -1)
-        return motors
+        return np.roll(own, 1, axis=1).reshape(len(turns), -1)
 
     def _rotate(self, vectors: np.ndarray, turns: np.ndarray) -> np.ndarray:
         cos, sin = np.cos(turns * self._sector), np.sin(turns * self._sector)

@@ -73,8 +73,7 @@ class Lift(Simulator):
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the end effector in the world, ``(N, 3)``, m: both robots stand at the same table."""
-        position: np.ndarray = state[:, self.spec("").columns(["eef_pos"])]
-        return position
+        return state[:, self.spec("").columns(["eef_pos"])]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)

@@ -143,8 +143,7 @@ class Maze(Simulator):
         return Observation(self.states_of_domain(physical).astype(np.float32))
 
     def _positions(self, rows: np.ndarray) -> np.ndarray:
-        positions: np.ndarray = self._physics.states[rows, self._physics.qpos][:, :2]
-        return positions
+        return self._physics.states[rows, self._physics.qpos][:, :2]
 
     def _visit(self, episodes: np.ndarray) -> None:
         rows, columns = self.layout.nearest(self.frame.cells(self._positions(episodes))).T

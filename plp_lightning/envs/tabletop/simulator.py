@@ -86,8 +86,7 @@ class Tabletop(Simulator):
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the hand in the world, ``(N, 3)``, m."""
-        position: np.ndarray = state[:, self.spec("").columns(["hand_pos"])]
-        return position
+        return state[:, self.spec("").columns(["hand_pos"])]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         self.tasks.check(tasks)
