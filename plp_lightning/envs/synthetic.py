@@ -1,11 +1,8 @@
 """Domains with a known answer: one point in the plane, seen and moved through a different linear map in each.
 
-All domains share the latent state p in the plane and the latent action u, a velocity. A domain shows
-``A p + b`` for its own injective A and takes ``R u`` for its own rotation R, so the maps that a transfer
-has to find exist, are linear and are known. They make every part of the framework run in seconds.
-
-Where the goals are may also be a thing that a camera alone shows: three coloured spots in an order that changes
-from episode to episode.
+All domains share the latent state p in the plane and the latent action u, a velocity. A domain shows ``A p + b`` for
+its own injective A and takes ``R u`` for its own rotation R, so the maps that a transfer has to find exist, are linear
+and are known. They make every part of the framework run in seconds.
 """
 
 from __future__ import annotations
@@ -15,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from datamodules.errors import UserError
+from datamodules.settings import NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.streams import EpisodeStream, episode_generator, start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
@@ -37,13 +35,12 @@ class LinearPoint(Simulator):
     tasks = Tasks("LinearPoint", tuple(f"goal_{i}" for i in range(GOALS)))
     threads = 1
 
-    def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40) -> None:
+    def __init__(self, map_seed: NonNegativeInt, state_size: PositiveInt = 4, horizon: PositiveInt = 40) -> None:
         self.map_seed, self.state_size, self.horizon = map_seed, state_size, horizon
         rng = np.random.default_rng(map_seed)
         self.lift = np.linalg.qr(rng.normal(size=(state_size, 2)))[0]
         self.shift = rng.normal(size=state_size)
-        angle = rng.uniform(0, 2 * np.pi)
-        self.rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        self.rotation = _rotation(rng.uniform(0, 2 * np.pi))
 
     def spec(self, name: str) -> DomainSpec:
         keys = (ObservationKey("position", (self.state_size,)),)
@@ -59,7 +56,7 @@ class LinearPoint(Simulator):
         return np.array([self.goal(task) for task in tasks])
 
     def goal(self, task: str) -> np.ndarray:
-        """The task's goal in the plane."""
+        """The task's goal ``(2,)`` in the plane."""
         angle = 2 * np.pi * self.tasks.names.index(task) / GOALS
         return np.array([np.cos(angle), np.sin(angle)])
 
@@ -94,11 +91,16 @@ class SeenPoint(LinearPoint):
 
     tasks = Tasks("SeenPoint", ("red", "green", "blue"))
 
-    def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40, image_size: int = 16) -> None:
+    def __init__(
+        self,
+        map_seed: NonNegativeInt,
+        state_size: PositiveInt = 4,
+        horizon: PositiveInt = 40,
+        image_size: PositiveInt = 16,
+    ) -> None:
         super().__init__(map_seed, state_size, horizon)
         self.image_size = image_size
-        angle = np.random.default_rng([map_seed, 1]).uniform(0, 2 * np.pi)
-        self.view = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        self.view = _rotation(np.random.default_rng([map_seed, 1]).uniform(0, 2 * np.pi))
 
     def spec(self, name: str) -> DomainSpec:
         camera = ObservationKey("camera", (self.image_size, self.image_size, 3), kind="image")
@@ -112,7 +114,6 @@ class SeenPoint(LinearPoint):
         return np.array([places[episode_generator(seed, EpisodeStream.SPOTS).permutation(3)] for seed in seeds])
 
     def goals_of(self, tasks: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
-        """Places of the spots in the tasks' colours, ``(E, 2)``."""
         return self.spots(seeds)[np.arange(len(tasks)), [self.tasks.names.index(task) for task in tasks]]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
@@ -140,7 +141,7 @@ class LinearPointExpert(Expert):
         gain: Action for each unit of distance.
     """
 
-    def __init__(self, gain: float = 2.0) -> None:
+    def __init__(self, gain: PositiveFloat = 2.0) -> None:
         self.gain = gain
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
@@ -154,3 +155,7 @@ class LinearPointExpert(Expert):
         speed = np.linalg.norm(velocity, axis=1, keepdims=True)
         actions: np.ndarray = (velocity / np.maximum(1, speed)) @ self.simulator.rotation.T
         return actions
+
+
+def _rotation(angle: float) -> np.ndarray:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -52,12 +52,9 @@ class WindowExpert(Expert):
 
 
 def reach(hand: np.ndarray, ball: np.ndarray) -> np.ndarray:
-    """Actions ``(n, 4)`` that bring the fingertips of a hand ``(n, 3)`` to a ball ``(n, 3)``.
-
-    Meta-World's policy brings the hand there, whose fingertips end 4.5 cm below.
-    """
-    way = REACH_GAIN * (ball - FINGERS - hand)
-    return _action(way, grip=0.0)
+    """Actions ``(n, 4)`` that bring the fingertips of a hand ``(n, 3)`` to a ball ``(n, 3)``."""
+    # Meta-World's policy brings the hand there, whose fingertips end 4.5 cm below.
+    return _action(REACH_GAIN * (ball - FINGERS - hand), grip=0.0)
 
 
 def push(hand: np.ndarray, handle: np.ndarray, opens: np.ndarray) -> np.ndarray:

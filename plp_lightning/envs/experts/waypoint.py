@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeFloat, PositiveFloat
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.experts.gait import TRAIN, Gait, gait_path
@@ -27,8 +28,7 @@ class Guide:
     """
 
     def __init__(self, maze: Maze, tasks: Sequence[str], width: float = 0.35) -> None:
-        self._maze = maze
-        self._width = width
+        self._maze, self._width = maze, width
         routes = {name: self._table(name) for name in set(tasks)}
         self._next = np.stack([routes[name] for name in tasks])
 
@@ -67,13 +67,13 @@ class WaypointExpert(Expert):
     Args:
         gain: Action for each metre to the aim.
         damping: Action for each m/s.
-        width: See :class:`Guide`.
+        width: Distance from a corridor's centre line beyond which it heads for the line alone, in cells.
     """
 
-    def __init__(self, gain: float = 10.0, damping: float = 1.0, width: float = 0.35) -> None:
-        self._gain = gain
-        self._damping = damping
-        self._width = width
+    def __init__(
+        self, gain: PositiveFloat = 10.0, damping: NonNegativeFloat = 1.0, width: PositiveFloat = 0.35
+    ) -> None:
+        self._gain, self._damping, self._width = gain, damping, width
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
         if not isinstance(simulator, PointMaze):
@@ -81,8 +81,7 @@ class WaypointExpert(Expert):
             raise ConfigError(
                 f"WaypointExpert demonstrates in PointMaze, not in {found}; give the domain its own expert"
             )
-        self._maze = simulator
-        self._guide = Guide(self._maze, tasks, self._width)
+        self._maze, self._guide = simulator, Guide(simulator, tasks, self._width)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         states = self._maze.states_in_maze(observation.state)
@@ -97,12 +96,11 @@ class WalkerExpert(Expert):
     Args:
         weights: The gait, a file that ``plp collect --train_expert`` wrote; the one that comes with this package
             for the body by default.
-        width: See :class:`plp_lightning.envs.experts.waypoint.Guide`.
+        width: Distance from a corridor's centre line beyond which it heads for the line alone, in cells.
     """
 
-    def __init__(self, weights: Path | None = None, width: float = 0.35) -> None:
-        self._weights = weights
-        self._width = width
+    def __init__(self, weights: Path | None = None, width: PositiveFloat = 0.35) -> None:
+        self._weights, self._width = weights, width
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
         if not isinstance(simulator, WalkerMaze):
@@ -124,7 +122,7 @@ class WalkerExpert(Expert):
         return self._gait.act(observation.state, directions).astype(np.float32)
 
     def directions(self, states: np.ndarray, episodes: np.ndarray) -> np.ndarray:
-        """Unit vectors ``(n, 2)`` in the maze's frame: where to walk from states ``(n, O)``."""
+        """Unit vectors ``(n, 2)`` in the maze's frame, along which to walk from states ``(n, O)``."""
         aims = self._maze.frame.centres(self._guide.aims(states, episodes))
         ways = aims - states[:, :2]
         directions: np.ndarray = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-6)

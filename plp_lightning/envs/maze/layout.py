@@ -46,12 +46,12 @@ class Layout:
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
         """Free cells, row by row."""
-        return tuple((i, j) for i, row in enumerate(self.rows) for j, mark in enumerate(row) if mark != "#")
+        return _cells(self.rows, walls=False)
 
     @cached_property
     def walls(self) -> tuple[Cell, ...]:
         """Wall cells, row by row."""
-        return tuple((i, j) for i, row in enumerate(self.rows) for j, mark in enumerate(row) if mark == "#")
+        return _cells(self.rows, walls=True)
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -67,9 +67,7 @@ class Layout:
     def by_name(self) -> Mapping[str, MazeTask]:
         """All tasks by name: for each goal those of its start zones, then the detours."""
         zones = range(len(self.zones))
-        tasks = {
-            f"s{zone}_g_{row}_{column}": MazeTask(zone, (row, column)) for row, column in self.cells for zone in zones
-        }
+        tasks = {f"s{zone}_g_{i}_{j}": MazeTask(zone, (i, j)) for i, j in self.cells for zone in zones}
         return tasks | {"detour_{}_{}".format(*detour.goal): detour for detour in self.detours}
 
     @cached_property
@@ -101,9 +99,12 @@ class Layout:
 
     def route(self, task: MazeTask) -> dict[Cell, Cell]:
         """The next cell towards the goal from every free cell; the goal leads to itself."""
-        way = _next_cells(self._graph, task.goal, task.avoid)
+        import networkx as nx  # costs a tenth of a second, and listing tasks needs no routes
+
+        allowed = self._graph.subgraph([cell for cell in self.cells if cell != task.avoid])
+        way = {task.goal: task.goal, **dict(nx.bfs_predecessors(allowed, task.goal))}
         if task.avoid:
-            # Whoever strays into the forbidden cell turns back to the side that is farther from the goal.
+            # A walker that strays into the forbidden cell turns back to the side that is farther from the goal.
             way[task.avoid] = max(self._graph[task.avoid], key=lambda cell: len(_path(way, cell)))
         return way
 
@@ -112,30 +113,27 @@ class Layout:
         if not task.avoid:
             return frozenset()
         long, short = self.route(task), self.route(task._replace(avoid=None))
-        on_all = [set(_path(long, start)) for start in self.starts(task)]
-        return frozenset(set.intersection(*on_all).difference(*(_path(short, start) for start in self.starts(task))))
+        starts = self.starts(task)
+        on_all = set.intersection(*(set(_path(long, start)) for start in starts))
+        return frozenset(on_all.difference(*(_path(short, start) for start in starts)))
 
     def _is_proxy(self, task: str, target: str) -> bool:
         return not self.by_name[task].avoid and self.by_name[task].goal != self.by_name[target].goal
 
     @cached_property
     def _graph(self) -> nx.Graph:
-        import networkx as nx  # costs a tenth of a second, and listing tasks needs no graph
+        import networkx as nx
 
         graph = nx.Graph()
         graph.add_nodes_from(self.cells)
-        neighbours = [
-            (cell, other) for cell in self.cells for other in ((cell[0] + 1, cell[1]), (cell[0], cell[1] + 1))
-        ]
-        graph.add_edges_from((cell, other) for cell, other in neighbours if other in graph)
+        graph.add_edges_from(
+            ((i, j), other) for i, j in self.cells for other in ((i + 1, j), (i, j + 1)) if other in graph
+        )
         return graph
 
 
-def _next_cells(graph: nx.Graph, goal: Cell, avoid: Cell | None) -> dict[Cell, Cell]:
-    import networkx as nx
-
-    allowed = graph.subgraph([cell for cell in graph if cell != avoid])
-    return {goal: goal, **dict(nx.bfs_predecessors(allowed, goal))}
+def _cells(rows: tuple[str, ...], walls: bool) -> tuple[Cell, ...]:
+    return tuple((i, j) for i, row in enumerate(rows) for j, mark in enumerate(row) if (mark == "#") == walls)
 
 
 def _path(way: Mapping[Cell, Cell], start: Cell) -> list[Cell]:
@@ -177,8 +175,7 @@ class Frame:
 
 
 def _quadrants(rows: tuple[str, ...]) -> tuple[tuple[Cell, ...], ...]:
-    middle = len(rows) // 2
-    free = [(i, j) for i, row in enumerate(rows) for j, mark in enumerate(row) if mark != "#"]
+    middle, free = len(rows) // 2, _cells(rows, walls=False)
     halves = [(lower, right) for lower in (False, True) for right in (False, True)]
     return tuple(tuple(c for c in free if (c[0] >= middle, c[1] >= middle) == half) for half in halves)
 
