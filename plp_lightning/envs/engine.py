@@ -45,8 +45,7 @@ class Engine(ABC, Generic[R]):
         least: Rows that a thread takes at a time at least, where the way to them costs more than one takes.
     """
 
-    states: np.ndarray
-    """``(E, S)`` float64."""
+    states: np.ndarray  # (E, S) float64
 
     def __init__(self, model: mujoco.MjModel, threads: int = 0, least: int = 1) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

@@ -63,12 +63,9 @@ class Desk(NamedTuple):
     """One thread's MjData: where it is, and what every family needs of it."""
 
     model: int
-    data: int
-    """Address of the MjData, as ``model`` is that of the MjModel."""
-    ctrl: np.ndarray
-    """``(U,)``: the controls that are held."""
-    after: np.ndarray
-    """``(S,)``: room for a state."""
+    data: int  # address of the MjData, as model is that of the MjModel
+    ctrl: np.ndarray  # (U,): the controls that are held
+    after: np.ndarray  # (S,): room for a state
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Desk:

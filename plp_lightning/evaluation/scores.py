@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -212,17 +212,17 @@ class JointScore(AlignmentScore):
 
     def __init__(self, scores: Sequence[AlignmentScore]) -> None:
         self.scores = tuple(scores)
-        _check_names((score, score.names) for score in self.scores)
+        self._joined([dict.fromkeys(score.names, 0.0) for score in self.scores])
 
     def __call__(
         self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
-        return _joined((score, score(policy, data, simulators)) for score in self.scores)
+        return self._joined([score(policy, data, simulators) for score in self.scores])
 
     def of_target(
         self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
-        return _joined((score, score.of_target(policy, data, simulators)) for score in self.scores)
+        return self._joined([score.of_target(policy, data, simulators) for score in self.scores])
 
     def correspondences(
         self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
@@ -230,20 +230,12 @@ class JointScore(AlignmentScore):
         known = (score.correspondences(data, simulators, count) for score in self.scores)
         return next((found for found in known if found is not None), None)
 
-
-def _joined(parts: Iterable[tuple[AlignmentScore, Mapping[str, float]]]) -> dict[str, float]:
-    found = list(parts)
-    _check_names(found)
-    return {name: value for _, values in found for name, value in values.items()}
-
-
-def _check_names(named: Iterable[tuple[AlignmentScore, Iterable[str]]]) -> None:
-    owners: dict[str, str] = {}
-    for score, names in named:
-        owner = type(score).__name__
-        for name in names:
-            if name in owners:
-                raise ConfigError(
-                    f"score: {owners[name]} and {owner} both give {name!r}; expected names of their own: drop one"
-                )
-            owners[name] = owner
+    def _joined(self, parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        owners: dict[str, str] = {}
+        for owner, part in zip((type(score).__name__ for score in self.scores), parts, strict=True):
+            for name in part:
+                if name in owners:
+                    both = f"{owners[name]} and {owner} both give {name!r}"
+                    raise ConfigError(f"score: {both}; expected names of their own: drop one")
+                owners[name] = owner
+        return {name: value for part in parts for name, value in part.items()}

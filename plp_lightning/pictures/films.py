@@ -29,8 +29,7 @@ class Film(NamedTuple):
 
     task: str
     success: bool
-    images: np.ndarray
-    """``(T + 1, H, W, 3)`` uint8."""
+    images: np.ndarray  # (T + 1, H, W, 3) uint8
 
 
 class FilmRecorder(Observer):

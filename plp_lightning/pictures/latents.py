@@ -24,8 +24,7 @@ from plp_lightning.pictures.publish import publish
 # One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # https://jfly.uni-koeln.de/color/
 MARKERS = "o^sDvP"  # one a domain, in turn
-PLACE: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "ncols": 3}
-LEGEND: dict[str, Any] = {**PLACE, "markerscale": 2, "frameon": False, "fontsize": 10}
+LEGEND: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "ncols": 3, "markerscale": 2}
 
 
 class LatentPicture(Callback):
@@ -96,8 +95,8 @@ def latent_figure(
     Args:
         latents: By domain, ``(N_d, Z)``.
         joined: Of two of these domains ``(P, Z)``: row i of both is joined by a line.
-        kinds: By domain, what kind of situation each state is of: a second plot of the same points has a colour for
-            each kind and a marker for each domain. Without any there is one plot.
+        kinds: By domain, the kind of situation of each state: a second plot of the same points has a colour for each
+            kind and a marker for each domain. Without any there is one plot.
     """
     pairs = dict(joined or {})
     named = {domain: names for domain, names in (kinds or {}).items() if names}
@@ -117,7 +116,7 @@ def latent_figure(
         axes.scatter(points[:, 0], points[:, 1], s=26, color=colours[domain], edgecolors="black", zorder=4)
     axes.set(xticks=[], yticks=[])
     axes.set_title("latent states of the proxy tasks (t-SNE)", fontsize=12)
-    axes.legend(**LEGEND)
+    axes.legend(**LEGEND, frameon=False, fontsize=10)
     for other in more:
         _draw_kinds(other, dict(zip(latents, flat, strict=False)), named)
     return figure
@@ -132,7 +131,7 @@ def _draw_kinds(axes: Axes, points: Mapping[str, np.ndarray], kinds: Mapping[str
             axes.scatter(chosen[:, 0], chosen[:, 1], s=14, alpha=0.6, color=colour, marker=marker, label=label)
     axes.set(xticks=[], yticks=[])
     axes.set_title("the same by arrangement", fontsize=12)
-    axes.legend(**LEGEND)
+    axes.legend(**LEGEND, frameon=False, fontsize=10)
 
 
 def _flatten(parts: list[np.ndarray]) -> list[np.ndarray]:

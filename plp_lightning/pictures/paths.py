@@ -29,10 +29,8 @@ class Paths:
     """Ways of E episodes, from their first state to their last."""
 
     tasks: tuple[str, ...]
-    positions: tuple[np.ndarray, ...]
-    """For each episode ``(T + 1, P)``, in the frame that domains share."""
-    success: np.ndarray
-    """``(E,)`` bool."""
+    positions: tuple[np.ndarray, ...]  # for each episode (T + 1, P), in the frame that domains share
+    success: np.ndarray  # (E,) bool
 
 
 class PathRecorder(Observer):

@@ -100,11 +100,9 @@ class LiftModel:
 
     model: mujoco.MjModel
     arm: Arm
-    rest_pose: np.ndarray
-    """Arm joints ``(n,)`` in robosuite's initial pose, rad; ``open_fingers (g,)`` likewise, m or rad."""
+    rest_pose: np.ndarray  # arm joints (n,) in robosuite's initial pose, rad; open_fingers (g,) likewise, m or rad
     open_fingers: np.ndarray
-    pedestal: int
-    """Row of the pedestal in mocap_pos."""
+    pedestal: int  # row of the pedestal in mocap_pos
 
     @classmethod
     @cache

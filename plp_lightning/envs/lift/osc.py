@@ -86,8 +86,8 @@ def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) ->
         for column in range(3):
             turn = rotation[a, column] * DOWN[b, column] - rotation[b, column] * DOWN[a, column]
             pull[3 + axis, 0] += 0.5 * turn
-    for axis in range(6):  # F = kp error - kd J q', equation 2
-        pull[axis, 0] = STIFFNESS * pull[axis, 0] - DAMPING * velocity[axis, 0]
+    pull *= STIFFNESS
+    pull -= DAMPING * velocity  # F = kp error - kd J q', equation 2
     return pull
 
 
@@ -116,21 +116,11 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
     mj_full_m(work.desk.model, work.mass.ctypes.data, work.inertia.ctypes.data)
     linear, angular = work.jacobian[:3], work.jacobian[3:]
     mj_jac_site(work.desk.model, work.desk.data, linear.ctypes.data, angular.ctypes.data, arm.site)
-    size = len(arm.dof)
-    mass, jacobian = np.empty((size, size)), np.empty((6, size))
-    speed, posture = np.empty((size, 1)), np.empty((size, 1))
-    for i in range(size):
-        dof = arm.dof[i]
-        speed[i, 0] = work.qvel[dof]
-        # u = kp (q_rest - q) - kd q'
-        posture[i, 0] = REST_STIFFNESS * (rest[i] - work.qpos[arm.qpos[i]]) - REST_DAMPING * speed[i, 0]
-        for j in range(size):
-            mass[i, j] = work.mass[dof, arm.dof[j]]
-        for axis in range(6):
-            jacobian[axis, i] = work.jacobian[axis, dof]
+    mass, jacobian = work.mass[arm.dof][:, arm.dof], work.jacobian[:, arm.dof]
+    speed, away = work.qvel[arm.dof].reshape(-1, 1), (rest - work.qpos[arm.qpos]).reshape(-1, 1)
+    posture = REST_STIFFNESS * away - REST_DAMPING * speed  # u = kp (q_rest - q) - kd q'
     total = combine(mass, jacobian, wrench(arm, work, goal, product(jacobian, speed)), posture)
-    for i in range(size):
-        total[i, 0] += work.bias[arm.dof[i]]  # tau += g, equation 5
+    total[:, 0] += work.bias[arm.dof]  # tau += g, equation 5
     return total
 
 
@@ -205,8 +195,7 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
         angle = work.qpos[arm.qpos[i]]
         row[i], row[arm_size + i] = np.cos(angle), np.sin(angle)
         row[2 * arm_size + i] = work.qvel[arm.dof[i]]
-    for i in range(3):
-        row[at + i] = work.site_pos[arm.site, i]
+    row[at : at + 3] = work.site_pos[arm.site]
     for i in range(4):  # MuJoCo puts the scalar first, robosuite last
         row[at + 3 + i] = work.body_quaternion[arm.hand, (i + 1) % 4]
     for i in range(finger_size):

@@ -29,15 +29,11 @@ FrameName = Literal["d4rl", "gymnasium"]
 class Maze(Simulator):
     """A body in a maze whose tasks are pairs of a start zone and a goal cell; goals are never observed."""
 
-    scale: ClassVar[float]
-    """Side of a cell, m."""
-    frame_skip: ClassVar[int]
-    """Physics steps of 10 ms in one control step."""
-    horizons: ClassVar[dict[str, int]]
-    """Default horizon of each layout."""
+    scale: ClassVar[float]  # side of a cell, m
+    frame_skip: ClassVar[int]  # physics steps of 10 ms in one control step
+    horizons: ClassVar[dict[str, int]]  # default horizon of each layout
     _wall_height: ClassVar[float]  # m
-    _forward: ClassVar[bool]
-    """True if Gymnasium-Robotics computes forces before each control step."""
+    _forward: ClassVar[bool]  # True if Gymnasium-Robotics computes forces before each control step
     _body: str
     _action_size: int
 

@@ -12,8 +12,7 @@ GEAR = 150.0  # torque of a motor at action 1, in N m
 class Box(NamedTuple):
     """A wall block that stands on the floor, sides along the axes."""
 
-    x: float
-    """Centre, in m."""
+    x: float  # centre, in m
     y: float
     half_width: float
     half_height: float

@@ -17,14 +17,10 @@ _OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
 class Viewpoint(NamedTuple):
     """A camera's place, and the point that it looks at."""
 
-    azimuth: float
-    """Direction of the view around the vertical, degrees; 90 looks along +y."""
-    elevation: float
-    """Direction of the view against the horizon, degrees; negative looks down."""
-    distance: float
-    """From the point looked at, m."""
-    lookat: tuple[float, float, float] = (0.0, 0.7, 0.15)
-    """In the world, m."""
+    azimuth: float  # direction of the view around the vertical, degrees; 90 looks along +y
+    elevation: float  # direction of the view against the horizon, degrees; negative looks down
+    distance: float  # from the point looked at, m
+    lookat: tuple[float, float, float] = (0.0, 0.7, 0.15)  # in the world, m
 
 
 class Camera:

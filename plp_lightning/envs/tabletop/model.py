@@ -36,14 +36,10 @@ class TabletopModel:
     claws: tuple[int, int]
     sites: np.ndarray
     """Sites whose positions decide success: the two fingertips first, then those of the window's handle."""
-    follower: int
-    """Row in mocap_pos of the point that the hand follows."""
-    furniture: np.ndarray
-    """Rows in mocap_pos of what stands elsewhere in each episode: the balls, or the window."""
-    object_qpos: slice
-    """Place in qpos of the puck's position, or of how far the window is open."""
-    object_qvel: slice
-    """Speeds that are zero at the start of an episode."""
+    follower: int  # row in mocap_pos of the point that the hand follows
+    furniture: np.ndarray  # rows in mocap_pos of what stands elsewhere in each episode: the balls, or the window
+    object_qpos: slice  # place in qpos of the puck's position, or of how far the window is open
+    object_qvel: slice  # speeds that are zero at the start of an episode
 
     @classmethod
     def of(cls, model: mujoco.MjModel, sites: Sequence[str], furniture: Sequence[str], joint: str) -> TabletopModel:

@@ -16,6 +16,7 @@ from plp_lightning.envs.engine import Engine
 from plp_lightning.envs.native import Desk, load, save
 from plp_lightning.envs.rendering.camera import Camera, Viewpoint
 from plp_lightning.envs.tabletop.model import TabletopModel
+from plp_lightning.envs.tabletop.simulator import Layout
 
 SUBSTEPS = 5  # physics steps for each control step, of 2.5 ms each
 SETTLING = 50 * SUBSTEPS  # physics steps in which the hand gets to its start
@@ -23,17 +24,6 @@ ACTION_SCALE = 1.0 / 100  # way of the point that the hand follows for an action
 DOWN = (1.0, 0.0, 1.0, 0.0)  # orientation of that point
 WORKSPACE = np.array([[-0.5, 0.40, 0.05], [0.5, 1.0, 0.5]])  # least and greatest place of that point, m
 WIDEST_GRIP = 0.1  # distance of the claws that counts as 1, m
-
-
-class Layout(NamedTuple):
-    """The beginning of one episode."""
-
-    hand: np.ndarray
-    """Start of the hand ``(3,)``, m."""
-    furniture: np.ndarray
-    """Places ``(m, 3)`` of the balls, or of the window, m."""
-    object: np.ndarray
-    """Position of the puck ``(3,)``, or how far the window is open ``(1,)``, m."""
 
 
 class Room(NamedTuple):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
     from plp_lightning.envs.tabletop.model import TabletopModel
-    from plp_lightning.envs.tabletop.physics import Layout, TabletopPhysics
+    from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
 View = Literal["front_left", "front_right", "front", "rear"]
 
@@ -42,6 +42,14 @@ WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])  # least and greatest x and y
 WINDOW_Z = 0.16
 SLIDE = 0.2  # way that the window opens, m
 AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}  # Window-Close, by quarter of the area
+
+
+class Layout(NamedTuple):
+    """The beginning of one episode."""
+
+    hand: np.ndarray  # start of the hand (3,), m
+    furniture: np.ndarray  # places (m, 3) of the balls, or of the window, m
+    object: np.ndarray  # position of the puck (3,), or how far the window is open (1,), m
 
 
 class Tabletop(Simulator):
@@ -149,8 +157,6 @@ class Reach(Tabletop):
         return aims
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
-        from plp_lightning.envs.tabletop.physics import Layout
-
         hand, order = _draw_reach(stream)
         return Layout(hand, SLOTS[order], PUCK)
 
@@ -183,8 +189,6 @@ class Window(Tabletop):
         return handle
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
-        from plp_lightning.envs.tabletop.physics import Layout
-
         hand, share = stream.uniform(*WINDOW_HAND), stream.uniform(size=2)
         if task != "open":
             share = (np.array(AREAS[task]) + share) / 2
