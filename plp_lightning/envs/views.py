@@ -13,19 +13,12 @@ from datamodules.errors import UserError
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A domain from above, in the frame of shared positions: the first axis down, the second right.
+    """A domain from above, in the frame of shared positions: the first axis down, the second right."""
 
-    Args:
-        walls: Centres of the square blocks that walls are made of, ``(W, 2)``.
-        side: Side of a block.
-        goals: End of each task, row and column.
-        radius: Distance from its goal at which a task is solved.
-    """
-
-    walls: np.ndarray
-    side: float
-    goals: Mapping[str, tuple[float, float]]
-    radius: float
+    walls: np.ndarray  # centres (W, 2) of the square blocks that walls are made of
+    side: float  # side of a block
+    goals: Mapping[str, tuple[float, float]]  # end of each task
+    radius: float  # distance from its goal at which a task is solved
 
 
 @runtime_checkable

@@ -55,10 +55,8 @@ class FilmRecorder(Observer):
 
     def films(self, count: int) -> list[Film]:
         """``count`` of the filmed episodes, failures first; fewer if there are not as many."""
-        found = [
-            Film(task, bool(success), np.stack(images))
-            for task, success, images in zip(self._tasks, self._success, self._images, strict=False)
-        ]
+        known = zip(self._tasks, self._success, self._images, strict=False)
+        found = [Film(task, bool(success), np.stack(images)) for task, success, images in known]
         return sorted(found, key=lambda film: film.success)[:count]
 
     def _keep(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
@@ -122,21 +120,16 @@ def _rows(
     for title, films in reels.items():
         yield captions[title]
         tiles = [_tile(film, t) for film in films]
-        blank = np.full_like(tiles[0], 255)
-        yield np.concatenate([*tiles, *[blank] * (width - len(tiles))], axis=1)
+        yield np.concatenate([*tiles, *[np.full_like(tiles[0], 255)] * (width - len(tiles))], axis=1)
 
 
 def _tile(film: Film, t: int) -> np.ndarray:
-    image, scale = film.images[min(t, len(film.images) - 1)], _scale(film)
+    image, scale = film.images[min(t, len(film.images) - 1)], -(-TILE // film.images.shape[2])
     large = image.repeat(scale, axis=0).repeat(scale, axis=1)
     framed = np.empty((large.shape[0] + 2 * BORDER, large.shape[1] + 2 * BORDER, 3), np.uint8)
     framed[:] = (255 * np.array(_colour(film))).round()
     framed[BORDER:-BORDER, BORDER:-BORDER] = large
     return framed
-
-
-def _scale(film: Film) -> int:
-    return -(-TILE // film.images.shape[2])
 
 
 def _caption(text: str, width: int) -> np.ndarray:

@@ -84,17 +84,11 @@ class Symmetry:
 
 @dataclass(frozen=True)
 class Gait:
-    """A tanh network over normalised features; its weights are the mean of a PPO policy.
+    """A tanh network over normalised features; its weights are the mean of a PPO policy."""
 
-    Args:
-        layers: ``(weight (out, in), bias (out,))`` of each layer, tanh between them.
-        mean: ``(F,)`` mean of the features.
-        scale: ``(F,)`` factor that normalises them.
-    """
-
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
-    mean: np.ndarray
-    scale: np.ndarray
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]  # weight (out, in) and bias (out,) of each, tanh between them
+    mean: np.ndarray  # (F,) mean of the features
+    scale: np.ndarray  # (F,) factor that normalises them
 
     @property
     def legs(self) -> int:

@@ -52,8 +52,8 @@ with _quiet():
 class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robosuite is untyped
     """robosuite's Lift with a block of one size that stands on a movable pedestal.
 
-    The pedestal is a mocap body: its height is state, not model, so one model serves all tasks. It sinks
-    into the table unhindered, since MuJoCo never collides two static bodies.
+    The pedestal is a mocap body: its height is state, not model, so one model serves all tasks. It sinks into the
+    table unhindered, since MuJoCo never collides two static bodies.
     """
 
     def _load_model(self) -> None:
@@ -71,12 +71,7 @@ class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robos
 
 
 def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
-    """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer.
-
-    Args:
-        robot: Its name in robosuite.
-        joint_noise: Standard deviation of the initial joint angles, rad.
-    """
+    """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer; noise is in rad."""
     with _quiet():
         controller = load_composite_controller_config(controller="BASIC", robot=robot)
         arm = controller["body_parts"]["right"]
@@ -133,12 +128,11 @@ class LiftModel:
 def _bare_model(env: Any) -> mujoco.MjModel:
     """The environment's model without what only a renderer or a sensor needs; its motion is the same, bit for bit."""
     root = ET.fromstring(env.edit_model_xml(env.model.get_xml()))
-    compiler, size = root.find("compiler"), root.find("size")
-    assert compiler is not None
-    compiler.set("discardvisual", "true")
-    if size is not None:  # robosuite asks for room for thousands of contacts: over a gigabyte in each thread
+    for size in root.findall("size"):  # robosuite asks for room for thousands of contacts: a gigabyte in each thread
         root.remove(size)
     ET.SubElement(root, "size", memory=ARENA)
+    for compiler in root.findall("compiler"):
+        compiler.set("discardvisual", "true")
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     return model

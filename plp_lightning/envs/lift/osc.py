@@ -42,12 +42,7 @@ DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # orienta
 
 @inner
 def solve(matrix: np.ndarray, right: np.ndarray) -> None:
-    """Solve ``matrix @ x = right`` in place by Cholesky's method.
-
-    Args:
-        matrix: Symmetric positive definite ``(n, n)``; its lower triangle is overwritten by the factor.
-        right: ``(n, k)``, overwritten by the solution.
-    """
+    """Solve ``matrix @ x = right (n, k)`` in place by Cholesky's method, for a positive definite ``matrix (n, n)``."""
     size, columns = right.shape
     for i in range(size):
         for j in range(i + 1):
@@ -69,14 +64,7 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> None:
 
 @inner
 def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Spring and damper that pull the hand to its goal: force above torque, ``(6, 1)``, for unit inertia.
-
-    Args:
-        arm: The robot.
-        work: Its state.
-        goal: Position ``(3,)`` of the end effector, m.
-        velocity: Velocity ``J q'`` of the end effector, linear above angular ``(6, 1)``.
-    """
+    """Spring and damper ``(6, 1)``, force above torque, from a hand with ``velocity (6, 1)`` to its ``goal (3,)``."""
     pull = np.zeros((6, 1))
     rotation = work.site_rotation[arm.site].reshape(3, 3)
     for axis in range(3):
@@ -104,14 +92,7 @@ def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 @inner
 def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Joint torques ``(n, 1)`` in N m, not yet clipped: task, posture and gravity.
-
-    Args:
-        arm: The robot.
-        work: Its state, after mj_step1.
-        goal: Position ``(3,)`` of the end effector, m.
-        rest: Posture ``(n,)``, rad.
-    """
+    """Joint torques ``(n, 1)`` in N m, not yet clipped, for a ``goal (3,)`` in m and a posture ``rest (n,)`` in rad."""
     # M of the whole scene from MuJoCo's sparse form, and J of the hand; both are then cut down to the arm's joints.
     mj_full_m(work.desk.model, work.mass.ctypes.data, work.inertia.ctypes.data)
     linear, angular = work.jacobian[:3], work.jacobian[3:]
@@ -163,14 +144,9 @@ def actuate(arm: Arm, work: Workspace, torque: np.ndarray, grip: float) -> None:
 
 @inner
 def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, rest: np.ndarray) -> bool:
-    """Hold one action for 25 physics steps; False as soon as the simulation diverges.
+    """Hold one ``action (4,)``, the hand's way in units of 5 cm, for 25 physics steps; False if they diverge.
 
-    Args:
-        arm: The robot.
-        work: Its state, advanced in place.
-        action: ``(4,)``: way of the hand in units of 5 cm, clipped to [-1, 1], and the gripper.
-        grip: Command of the gripper in [-1, 1].
-        rest: Posture ``(n,)``, rad.
+    The gripper follows ``grip`` in [-1, 1], and the arm is drawn to the posture ``rest (n,)``, rad.
     """
     desk, goal = work.desk, np.empty(3)
     for substep in range(SUBSTEPS):

@@ -67,9 +67,9 @@ class Maze(Simulator):
         starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
         self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
-        for pending, task in zip(self._pending, chosen, strict=True):
-            for cell in self.layout.via(task):
-                pending[cell] = True
+        for episode, task in enumerate(chosen):
+            for row, column in self.layout.via(task):
+                self._pending[episode, row, column] = True
         everyone, physics = np.arange(len(chosen)), self._physics
         physics.begin(len(chosen))
         physics.states[:, physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))

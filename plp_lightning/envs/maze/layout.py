@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,16 +32,11 @@ class Layout:
 
     A task is a pair of a start zone and a goal cell, named ``s<zone>_g_<row>_<column>``, or a detour,
     ``detour_<row>_<column>``: its goal counts only by the long way round.
-
-    Args:
-        rows: The drawing.
-        zones: Disjoint start zones that cover all free cells.
-        detours: Detour tasks, one for a goal cell at most.
     """
 
-    rows: tuple[str, ...]
-    zones: tuple[tuple[Cell, ...], ...]
-    detours: tuple[MazeTask, ...] = field(default=())
+    rows: tuple[str, ...]  # the drawing
+    zones: tuple[tuple[Cell, ...], ...]  # disjoint start zones that cover all free cells
+    detours: tuple[MazeTask, ...] = ()  # one for a goal cell at most
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
@@ -145,17 +140,11 @@ def _path(way: Mapping[Cell, Cell], start: Cell) -> list[Cell]:
 
 @dataclass(frozen=True)
 class Frame:
-    """Places of cells in a simulator's plane.
+    """Places of cells in a simulator's plane, in m."""
 
-    Args:
-        origin: Centre of cell (0, 0), in m.
-        down: From a cell's centre to that of the next row, in m.
-        right: From a cell's centre to that of the next column, in m.
-    """
-
-    origin: tuple[float, float]
-    down: tuple[float, float]
-    right: tuple[float, float]
+    origin: tuple[float, float]  # centre of cell (0, 0)
+    down: tuple[float, float]  # from a cell's centre to that of the next row
+    right: tuple[float, float]  # from a cell's centre to that of the next column
 
     def centres(self, cells: np.ndarray) -> np.ndarray:
         """Positions ``(…, 2)`` in m of (possibly fractional) cells ``(…, 2)``."""

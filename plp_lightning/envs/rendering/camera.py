@@ -15,7 +15,7 @@ _OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
 
 
 class Viewpoint(NamedTuple):
-    """A camera's place, and the point that it looks at."""
+    """Place of a camera, and the point that it looks at."""
 
     azimuth: float  # direction of the view around the vertical, degrees; 90 looks along +y
     elevation: float  # direction of the view against the horizon, degrees; negative looks down

@@ -1,6 +1,6 @@
-"""Many episodes of one tabletop scene, stepped and drawn together by the engine's threads.
+"""Many episodes of one tabletop scene, stepped and drawn together by the engine's threads, each with its own camera.
 
-Each thread has its own camera: MuJoCo lets go of Python's lock while it steps and draws, so that threads use all cores.
+MuJoCo lets go of Python's lock while it steps and draws, so that threads use all cores.
 """
 
 from __future__ import annotations
@@ -35,14 +35,7 @@ class Room(NamedTuple):
 
 
 class TabletopPhysics(Engine[Room]):
-    """The last observations of E episodes, and how they advance.
-
-    Args:
-        scene: Model that is simulated.
-        viewpoint: Place of the camera.
-        image_size: Height and width of the images, pixels.
-        threads: Threads that step and draw; 0 means one for each core.
-    """
+    """The last observations of E episodes, which so many ``threads`` step and draw; 0 means one for each core."""
 
     def __init__(self, scene: TabletopModel, viewpoint: Viewpoint, image_size: int, threads: int) -> None:
         self.scene, self.viewpoint, self.image_size = scene, viewpoint, image_size

@@ -78,10 +78,7 @@ class Tabletop(Simulator):
         self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
 
     def spec(self, name: str) -> DomainSpec:
-        """An image ``(H, W, 3)``, and place ``(3,)`` of the hand and opening ``(1,)`` of the gripper, twice.
-
-        The second time they are those of one control step ago.
-        """
+        """An image ``(H, W, 3)``, and place ``(3,)`` of the hand and opening ``(1,)`` of the gripper, new and old."""
         keys = (
             ObservationKey("image", (self.image_size, self.image_size, 3), kind="image"),
             ObservationKey("hand_pos", (3,), unit="m"),
@@ -211,5 +208,4 @@ class Window(Tabletop):
 
 
 def _draw_reach(stream: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Place of the hand at the start, and of each ball."""
     return stream.uniform(*REACH_HAND), stream.permutation(len(SLOTS))
