@@ -11,11 +11,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 
 
 class PreemptedError(Exception):
-    """The process was asked to stop and has saved where it stands.
-
-    Args:
-        number: The signal.
-    """
+    """The process was asked to stop by a signal of that number, and has saved where it stands."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"stopped by {signal.Signals(number).name}")

@@ -46,7 +46,7 @@ class Simulator(Configured, ABC):
 
     @abstractmethod
     def spec(self, name: str) -> DomainSpec:
-        """Observation and action space, under the name that the experiment gives this domain."""
+        """States ``(O,)``, images and actions ``(A,)``, under the name that the experiment gives this domain."""
 
     @abstractmethod
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
@@ -59,7 +59,7 @@ class Simulator(Configured, ABC):
 
     @abstractmethod
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, A)`` for one control step to the ``episodes (n,)`` that still run.
+        """Apply actions ``(n, A)`` for one control step to the episodes ``(n,)`` that still run.
 
         Actions are clipped to [-1, 1]. Rows of the result are in the order of ``episodes``.
         """
@@ -70,7 +70,7 @@ class Expert(Configured, ABC):
 
     @abstractmethod
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Get ready for E episodes that were just reset with these tasks and seeds.
+        """Get ready for episodes ``(E,)`` that were just reset with these tasks and seeds.
 
         Raises:
             ConfigError: If it demonstrates in other simulators than this one.
@@ -78,7 +78,7 @@ class Expert(Configured, ABC):
 
     @abstractmethod
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, A)`` in [-1, 1] for the ``episodes (n,)`` whose observations are given."""
+        """Actions ``(n, A)`` in [-1, 1] for the episodes ``(n,)`` whose observations are given."""
 
 
 @dataclass

@@ -21,7 +21,7 @@ from plp_lightning.envs.native import STATE
 
 R = TypeVar("R")
 Change = Callable[[R, np.ndarray, np.ndarray, np.ndarray], object]
-"""Takes a thread's room, rows ``(m,)``, their actions ``(m, A)`` and ``valid (m,)``; advances the valid rows between
+"""Takes a thread's room, rows ``(m,)``, their actions ``(m, A)`` and a mask ``(m,)``; advances the valid rows between
 :func:`~plp_lightning.envs.native.load` and :func:`~plp_lightning.envs.native.save`, and marks those that diverge."""
 
 
@@ -40,8 +40,8 @@ class Engine(ABC, Generic[R]):
     """The states of E episodes, and the threads that advance them.
 
     Args:
-        model: What is simulated; its automatic reset is switched off, since a diverged episode must be seen.
-        threads: How many; 0 means one for each core.
+        model: Model that is simulated; its automatic reset is switched off, since a diverged episode must be seen.
+        threads: Number of threads; 0 means one for each core.
         least: Rows that a thread takes at a time at least, where the way to them costs more than one takes.
     """
 
@@ -55,21 +55,21 @@ class Engine(ABC, Generic[R]):
 
     @abstractmethod
     def room(self, data: mujoco.MjData) -> R:
-        """Make of a thread's MjData what the thread works with."""
+        """Make a thread's room of its MjData."""
 
     def columns(self, part: mujoco.mjtState) -> slice:
-        """Columns of ``states (E, S)`` that hold one part, such as ``mjtState.mjSTATE_MOCAP_POS``."""
+        """Columns of states ``(E, S)`` that hold one part, such as ``mjtState.mjSTATE_MOCAP_POS``."""
         start = mujoco.mj_stateSize(self.model, STATE & (int(part) - 1))
         return slice(start, start + mujoco.mj_stateSize(self.model, int(part)))
 
     def begin(self, episodes: int) -> None:
-        """Make ``states (E, S)`` for so many episodes: the model's reference configuration at rest."""
+        """Make states ``(E, S)`` for so many episodes: the model's reference configuration at rest."""
         row = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, mujoco.MjData(self.model), row, STATE)
         self.states = np.tile(row, (episodes, 1))
 
     def advance(self, rows: np.ndarray, actions: np.ndarray, change: Change[R]) -> np.ndarray:
-        """Advance ``rows (n,)`` by ``actions (n, A)``, shared out among the threads.
+        """Advance rows ``(n,)`` by actions ``(n, A)``, shared out among the threads.
 
         Returns:
             Which are valid, ``(n,)`` bool: a row whose action is not finite or whose physics diverges is not, and

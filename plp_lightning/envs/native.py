@@ -69,13 +69,13 @@ class Desk(NamedTuple):
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Desk:
-        """Views of ``data``, valid as long as it lives."""
+        """Views of ``data``, controls ``(U,)``, valid as long as it lives."""
         return cls(model._address, data._address, data.ctrl, np.empty(mujoco.mj_stateSize(model, STATE)))
 
 
 @inner
 def sane(values: np.ndarray) -> bool:
-    """True if all ``values (n,)`` are finite and of a size that physics can have."""
+    """True if all values ``(n,)`` are finite and of a size that physics can have."""
     for value in values:  # noqa: SIM110 - numba compiles the loop, not the generator
         if not abs(value) < DIVERGED:
             return False
@@ -84,14 +84,14 @@ def sane(values: np.ndarray) -> bool:
 
 @entry
 def load(desk: Desk, state: np.ndarray) -> bool:
-    """Put a row's ``state (S,)`` on the desk; True if it is one to go on from."""
+    """Put a row's state ``(S,)`` on the desk; True if it is one to go on from."""
     _set_state(desk.model, desk.data, state.ctypes.data, STATE)
     return sane(state)
 
 
 @entry
 def save(desk: Desk, state: np.ndarray) -> bool:
-    """Make what is on the desk the row's ``state (S,)``; False if it diverged, and then the row stays as it was."""
+    """Make what is on the desk the row's state ``(S,)``; False if it diverged, and then the row stays as it was."""
     _get_state(desk.model, desk.data, desk.after.ctypes.data, STATE)
     if not sane(desk.after):
         return False

@@ -13,14 +13,13 @@ from plp_lightning.envs.base import Simulator, Step
 
 @dataclass(frozen=True)
 class Episodes:
-    """Outcome of E episodes; row i belongs to the i-th task and seed."""
+    """Outcome of E episodes, ``(E,)`` each; row i belongs to the i-th task and seed."""
 
     success: np.ndarray
-    """``(E,)`` bool."""
     invalid: np.ndarray
-    """``(E,)`` bool: the simulation diverged; such an episode is no success and stays in the count."""
+    """The simulation diverged; such an episode is no success and stays in the count."""
     steps: np.ndarray
-    """``(E,)`` int64: control steps until success, the end or divergence."""
+    """Control steps until success, the end or divergence, int64."""
 
 
 class Observer:
@@ -30,7 +29,7 @@ class Observer:
         """Hear that E episodes of these tasks and seeds begin, with first observations ``(E, …)``."""
 
     def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
-        """Hear what ``actions (n, A)`` brought to the ``episodes (n,)`` that still ran."""
+        """Hear what actions ``(n, A)`` brought to the episodes ``(n,)`` that still ran."""
 
     def end(self, outcome: Episodes) -> None:
         """Hear how the E episodes ended: ``(E,)`` each of success, divergence and length."""

@@ -126,7 +126,7 @@ class SeenPoint(LinearPoint):
         return Observation(state, np.minimum(lights * 255, 255).astype(np.uint8))
 
     def _light(self, places: np.ndarray) -> np.ndarray:
-        """Spots of light at ``places (n, C, 2)``, one a channel, as ``(n, H, W, C)``; C = 1 is white."""
+        """Spots of light at places ``(n, C, 2)``, one a channel, as ``(n, H, W, C)``; C = 1 is white."""
         seen = places @ self.view.T
         pixels = np.linspace(-1.3, 1.3, self.image_size)
         rows, columns = (np.exp(-((pixels[:, None] - seen[:, None, :, i]) ** 2) / 0.05) for i in range(2))

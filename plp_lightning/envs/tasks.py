@@ -19,8 +19,7 @@ class Tasks:
         family: Name of the family, for messages.
         names: All tasks in their canonical order.
         targets: Targets of several tasks by name, such as a goal from each start zone; every task is a target too.
-        is_proxy: Whether the first task may align the domains when the second is to be transferred; all others may
-            if not given.
+        is_proxy: True if the first task may align the domains when the second is transferred; by default all others.
 
     Example:
         >>> tasks = Tasks("colours", ("red", "green", "blue"))

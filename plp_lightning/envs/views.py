@@ -34,7 +34,7 @@ class Planned(Located, Protocol):
     """A simulator that can be drawn from above."""
 
     def floor_plan(self) -> FloorPlan:
-        """Walls and goals, in the frame of :meth:`shared_position`."""
+        """Walls ``(W, 2)`` and goals, in the frame of :meth:`shared_position`."""
 
 
 @runtime_checkable

@@ -88,8 +88,7 @@ class ClosenessScore(AlignmentScore):
     ) -> dict[str, float]:
         if self.guide is None:
             return {}
-        wanted = data.target_tasks, self.guided_episodes, self.samples
-        both = data.source_domain, data.target_domain
+        both, wanted = (data.source_domain, data.target_domain), (data.target_tasks, self.guided_episodes, self.samples)
         states = {domain: guided_states(simulators[domain], self.guide, domain, *wanted) for domain in both}
         return {"closeness_target": self._closeness(policy, simulators, states)}
 
@@ -150,7 +149,7 @@ class PairAccuracy(AlignmentScore):
 
 
 def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray:
-    """States ``(N, 4)`` of ``other`` for the same physics as ``state (N, 4)`` of ``maze``."""
+    """States ``(N, 4)`` of ``other`` for the same physics as states ``(N, 4)`` of ``maze``."""
     return other.states_of_domain(maze.states_in_maze(state))
 
 

@@ -34,7 +34,7 @@ class Outcome:
 
     @classmethod
     def of(cls, episodes: Episodes, metrics: Sequence[BehaviourMetric] = ()) -> Outcome:
-        """Count and measure ``episodes (E,)``."""
+        """Count and measure the outcome ``(E,)`` of episodes."""
         count, solved = len(episodes.success), int(episodes.success.sum())
         behaviour = {metric.name: value for metric in metrics if (value := metric.value(episodes)) is not None}
         invalid, interval = int(episodes.invalid.sum()), success_interval(solved, count)

@@ -47,7 +47,7 @@ def success_interval(successes: int, episodes: int, confidence: float = 0.95) ->
 
 
 def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Estimate:
-    """Mean over independent runs, such as seeds, with the interval of Student's t.
+    """Mean over independent runs ``(n,)``, such as seeds, with the interval of Student's t.
 
     Returns:
         The mean and its interval; the bounds are NaN for a single run, and may leave [0, 1] for success rates.
@@ -69,7 +69,7 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Estimate
 
 
 def difference_interval(first: Sequence[float], second: Sequence[float], confidence: float = 0.95) -> Estimate:
-    """Mean of ``first`` minus mean of ``second``, two methods' runs say, with Welch's interval.
+    """Mean of ``first`` ``(n,)`` minus mean of ``second`` ``(m,)``, two methods' runs say, with Welch's interval.
 
     The methods differ at this confidence if the interval leaves out 0. Variances needn't be equal. See "The
     Generalization of 'Student's' Problem when Several Different Population Variances are Involved"

@@ -54,7 +54,7 @@ class FilmRecorder(Observer):
         self._success = outcome.success
 
     def films(self, count: int) -> list[Film]:
-        """``count`` of the filmed episodes, failures first; fewer if there are not as many."""
+        """``count`` of the films ``(T + 1, H, W, 3)``, failures first; fewer if there are not as many."""
         known = zip(self._tasks, self._success, self._images, strict=False)
         found = [Film(task, bool(success), np.stack(images)) for task, success, images in known]
         return sorted(found, key=lambda film: film.success)[:count]
@@ -75,7 +75,7 @@ def film_recorders(
 
 
 def film_figure(reels: Mapping[str, Sequence[Film]]) -> Figure:
-    """One column of strips for each reel, by title, a row for each film, at its left its task and end."""
+    """One column of strips ``(H, W', 3)`` for each reel, a row for each film, at its left its task and end."""
     rows = max(map(len, reels.values()))
     figure = Figure(figsize=(IMAGES * len(reels), rows + 0.6), layout="constrained")
     columns = figure.subplots(rows, len(reels), squeeze=False).T

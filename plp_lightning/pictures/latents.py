@@ -94,7 +94,7 @@ def latent_figure(
 
     Args:
         latents: By domain, ``(N_d, Z)``.
-        joined: Of two of these domains ``(P, Z)``: row i of both is joined by a line.
+        joined: States of two of these domains ``(P, Z)``: row i of both is joined by a line.
         kinds: By domain, the kind of situation of each state: a second plot of the same points has a colour for each
             kind and a marker for each domain. Without any there is one plot.
     """

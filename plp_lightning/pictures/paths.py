@@ -72,7 +72,7 @@ class Panel(NamedTuple):
 
 
 def path_figure(panels: Sequence[Panel]) -> Figure:
-    """One maze beside the other, each with its walls, goals and paths, and the counts in its legend."""
+    """One maze beside the other, each with its walls ``(W, 2)``, goals, paths ``(T + 1, P)`` and counts."""
     figure = Figure(figsize=(SIZE * len(panels), SIZE + 1), layout="constrained")
     for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         _draw_plan(axes, panel.plan, panel.paths.tasks)

@@ -58,7 +58,7 @@ def reach(hand: np.ndarray, ball: np.ndarray) -> np.ndarray:
 
 
 def push(hand: np.ndarray, handle: np.ndarray, opens: np.ndarray) -> np.ndarray:
-    """Actions ``(n, 4)`` of a hand ``(n, 3)`` that pushes a handle ``(n, 3)`` along x: forward where ``opens (n,)``."""
+    """Actions ``(n, 4)`` of a hand ``(n, 3)`` that pushes a handle ``(n, 3)`` along x: forward if it ``opens``."""
     forward = np.where(opens, 1.0, -1.0)
     place = handle + BESIDE * np.column_stack([-forward, np.ones((len(hand), 2))])
     far = np.linalg.norm(place[:, :2] - hand[:, :2], axis=1) > OVER

@@ -42,7 +42,7 @@ DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # orienta
 
 @inner
 def solve(matrix: np.ndarray, right: np.ndarray) -> None:
-    """Solve ``matrix @ x = right (n, k)`` in place by Cholesky's method, for a positive definite ``matrix (n, n)``."""
+    """Solve ``matrix @ x = right`` ``(n, k)`` in place, by Cholesky's method: the matrix is positive definite."""
     size, columns = right.shape
     for i in range(size):
         for j in range(i + 1):
@@ -64,7 +64,7 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> None:
 
 @inner
 def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Spring and damper ``(6, 1)``, force above torque, from a hand with ``velocity (6, 1)`` to its ``goal (3,)``."""
+    """Spring and damper ``(6, 1)``, force above torque, from a hand with velocity ``(6, 1)`` to its goal ``(3,)``."""
     pull = np.zeros((6, 1))
     rotation = work.site_rotation[arm.site].reshape(3, 3)
     for axis in range(3):
@@ -92,7 +92,7 @@ def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 @inner
 def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Joint torques ``(n, 1)`` in N m, not yet clipped, for a ``goal (3,)`` in m and a posture ``rest (n,)`` in rad."""
+    """Joint torques ``(n, 1)`` in N m, not yet clipped, for a goal ``(3,)`` in m and a posture ``(n,)`` in rad."""
     # M of the whole scene from MuJoCo's sparse form, and J of the hand; both are then cut down to the arm's joints.
     mj_full_m(work.desk.model, work.mass.ctypes.data, work.inertia.ctypes.data)
     linear, angular = work.jacobian[:3], work.jacobian[3:]
@@ -133,7 +133,7 @@ def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: n
 
 @inner
 def actuate(arm: Arm, work: Workspace, torque: np.ndarray, grip: float) -> None:
-    """Write the controls of the arm ``torque (n, 1)``, clipped, and of the fingers, ``grip`` in [-1, 1]."""
+    """Write the controls: torques ``(n, 1)`` of the arm, clipped, and of the fingers, ``grip`` in [-1, 1]."""
     for i in range(len(arm.actuators)):
         low, high = arm.limits[i]
         work.desk.ctrl[arm.actuators[i]] = min(max(torque[i, 0], low), high)
@@ -144,9 +144,9 @@ def actuate(arm: Arm, work: Workspace, torque: np.ndarray, grip: float) -> None:
 
 @inner
 def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, rest: np.ndarray) -> bool:
-    """Hold one ``action (4,)``, the hand's way in units of 5 cm, for 25 physics steps; False if they diverge.
+    """Hold one action ``(4,)``, the hand's way in units of 5 cm, for 25 physics steps; False if they diverge.
 
-    The gripper follows ``grip`` in [-1, 1], and the arm is drawn to the posture ``rest (n,)``, rad.
+    The gripper follows ``grip`` in [-1, 1], and the arm is drawn to the posture ``rest`` ``(n,)``, rad.
     """
     desk, goal = work.desk, np.empty(3)
     for substep in range(SUBSTEPS):
@@ -164,7 +164,7 @@ def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, res
 
 @inner
 def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
-    """Write the observation into ``row (O,)``: arm, hand, fingers, as robosuite's observables name them."""
+    """Write the observation into a row ``(O,)``: arm, hand, fingers, as robosuite's observables name them."""
     arm_size, finger_size = len(arm.qpos), len(arm.finger_qpos)
     at = 3 * arm_size
     for i in range(arm_size):
@@ -181,7 +181,7 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
 
 @entry
 def begin_episodes(arm: Arm, work: Workspace, episodes: Episodes, start: int, stop: int) -> None:
-    """Compute kinematics and forces of the first ``state (E, S)`` from ``start`` to ``stop``, and observe them."""
+    """Compute kinematics and forces of states ``(E, S)`` from row ``start`` to ``stop``, and observe them."""
     for row in range(start, stop):
         load(work.desk, episodes.state[row])
         mj_forward(work.desk.model, work.desk.data)

@@ -27,7 +27,7 @@ class LiftPhysics(Engine[Workspace]):
         return Workspace.of(self.model, data)
 
     def reset(self, blocks: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Begin an episode for each row of ``blocks (E, 3)`` and ``noise (E, n)``; observations ``(E, O)``."""
+        """Begin an episode for each row of blocks ``(E, 3)`` and noise ``(E, n)``; observations ``(E, O)``."""
         arm, count = self.lift.arm, len(blocks)
         self.begin(count)
         rest, size = self.lift.rest_pose + noise, 3 * len(arm.qpos) + 7 + 2 * len(arm.finger_qpos)
@@ -46,11 +46,11 @@ class LiftPhysics(Engine[Workspace]):
         return observed.copy()
 
     def step(self, actions: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Advance ``rows (n,)`` by one control step; a mask ``(n,)`` of those that are valid."""
+        """Advance rows ``(n,)`` by one control step; a mask ``(n,)`` of those that are valid."""
         arm, episodes = self.lift.arm, self.episodes
         return self.advance(rows, actions, lambda work, *part: step_episodes(arm, work, episodes, *part))
 
     def lifted(self, rows: np.ndarray) -> np.ndarray:
-        """Mask ``(n,)`` of the ``rows (n,)`` whose blocks are up."""
+        """Mask ``(n,)`` of the rows ``(n,)`` whose blocks are up."""
         up: np.ndarray = self.episodes.block_z[rows] > self.rest_z[rows] + LIFTED
         return up

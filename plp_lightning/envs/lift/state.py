@@ -43,7 +43,7 @@ class Workspace(NamedTuple):
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
-        """Views of ``data``, valid as long as it lives."""
+        """Views of ``data``, and room for J ``(6, nv)`` and M ``(nv, nv)``, valid as long as it lives."""
         return cls(
             Desk.of(model, data), data.qpos, data.qvel, data.qfrc_bias, data.qM, data.site_xpos,
             data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),

@@ -21,11 +21,7 @@ PLACES = {f"x{i}y{j}h{k}": (i, j, k) for i, j, k in product(range(3), repeat=3)}
 
 
 def block_place(task: str) -> np.ndarray:
-    """Centre ``(3,)`` of the block of a task at rest, in the world, m.
-
-    Raises:
-        ConfigError: If there is no such task.
-    """
+    """Centre ``(3,)`` of the block of a task at rest, in the world, m."""
     TASKS.check([task])
     i, j, k = PLACES[task]
     return np.array([GRID_X[i], GRID_Y[j], TABLE_Z + HEIGHTS[k] + BLOCK_HALF])

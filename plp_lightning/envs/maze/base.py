@@ -105,7 +105,7 @@ class Maze(Simulator):
         return self.frame.cells(self.states_in_maze(state)[:, :2])
 
     def floor_plan(self) -> FloorPlan:
-        """The drawing of the maze in rows and columns, so that the same maze looks the same for all bodies."""
+        """Walls ``(W, 2)`` in rows and columns, so that the same maze looks the same for all bodies."""
         goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.by_name.items()}
         return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
 
@@ -132,7 +132,7 @@ class Maze(Simulator):
         return place
 
     def _before_step(self, rows: np.ndarray) -> None:
-        """Change the physical states of ``rows (n,)`` before a control step."""
+        """Change the physical states of rows ``(n,)`` before a control step."""
 
     def _observe(self, rows: np.ndarray) -> Observation[np.ndarray]:
         physical = self._physics.states[rows, self._physics.physical]

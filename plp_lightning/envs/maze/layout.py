@@ -80,11 +80,7 @@ class Layout:
         return Tasks("this maze", tuple(self.by_name), targets, self._is_proxy)
 
     def task(self, name: str) -> MazeTask:
-        """The task of that name.
-
-        Raises:
-            ConfigError: If this maze has no such task.
-        """
+        """The task of that name; a ConfigError if this maze has none."""
         self.tasks.check([name])
         return self.by_name[name]
 

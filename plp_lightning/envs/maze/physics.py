@@ -22,7 +22,7 @@ class MazePhysics(Engine[Desk]):
         return Desk.of(self.model, data)
 
     def hold(self, rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool = False) -> np.ndarray:
-        """Apply ``controls (n, U)`` to ``rows (n,)`` of the states, which change in place, for one control step.
+        """Apply controls ``(n, U)`` to rows ``(n,)`` of the states, which change in place, for one control step.
 
         Args:
             rows: Rows of the states.

@@ -29,12 +29,12 @@ class PointMaze(Maze):
     row), and ± u F Q the action for a force u. All maps send the box of actions to itself, and exactly.
 
     Args:
-        layout: Which maze.
+        layout: Maze, by name.
         swap_axes: Show y before x (S).
         negate_actions: Turn the sign of all actions.
         mirror: Turn the sign of y (F).
         quarter_turns: Turns of the frame by 90° each, x towards y (Q).
-        metre: What is shown for a metre, and for a metre per second (l); forces stay shares of the motor's largest.
+        metre: Number that is shown for a metre, and for a metre per second (l); forces stay shares of the largest.
         frame: ``d4rl``: x grows with the rows of the maze, as in the paper's data; ``gymnasium``: the frame of
             Gymnasium-Robotics, origin in the middle, the same for all bodies.
         radius: Distance from the goal that counts as success, in cells of 1 m.
@@ -133,7 +133,7 @@ class WalkerMaze(Maze):
     of a leg; a control step lasts 50 ms.
 
     Args:
-        layout: Which maze.
+        layout: Maze, by name.
         legs: 4 for the ant, 6 for the spider.
         frame: ``d4rl``: x grows with the columns of the maze, as in the paper's data; ``gymnasium``: the frame of
             Gymnasium-Robotics, origin in the middle, the same for all bodies.
@@ -185,6 +185,6 @@ class WalkerMaze(Maze):
 
 
 def _planar(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Every two columns of ``vectors (n, 2 m)`` times a matrix, in the precision that they came in."""
+    """Every two columns of vectors ``(n, 2 m)`` times a matrix, in the precision that they came in."""
     turned: np.ndarray = vectors.reshape(-1, 2) @ matrix.astype(vectors.dtype)
     return turned.reshape(vectors.shape)

@@ -46,7 +46,7 @@ def choose_backend() -> Backend:
 
 
 def missing(backend: Backend) -> str:
-    """One line: images cannot be drawn with ``backend``, and what to install."""
+    """One line: images cannot be drawn with ``backend``, and the packages to install."""
     return (
         f"images cannot be drawn: {backend} does not work on this machine; "
         f"expected Mesa's libraries, install them: apt-get install {PACKAGES[backend]}"

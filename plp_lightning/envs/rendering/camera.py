@@ -52,7 +52,7 @@ class Camera:
     def image(self, data: mujoco.MjData, out: np.ndarray | None = None) -> np.ndarray:
         """The state in ``data``, whose kinematics are fresh, as uint8 ``(size, size, 3)``, top row first.
 
-        It is written to ``out (size, size, 3)``, or to a new array.
+        It is written to ``out``, of that shape too, or to a new array.
         """
         out = np.empty_like(self._pixels) if out is None else out
         everything = mujoco.mjtCatBit.mjCAT_ALL

@@ -16,7 +16,7 @@ HIDDEN = 5  # a group that is not drawn
 
 
 def lighten(spec: mujoco.MjSpec, unseen: Collection[str], image_size: int) -> mujoco.MjModel:
-    """Compile a model that is drawn fast, without the bodies ``unseen``, for images up to that size in pixels."""
+    """Compile a model that is drawn fast, without the bodies ``unseen``, up to images ``(size, size, 3)``."""
     shipped = spec.compile()
     heavy = {shipped.mesh(i).name for i in range(shipped.nmesh) if shipped.mesh_facenum[i] > MOST_FACES}
     for name in heavy:

@@ -61,7 +61,7 @@ class TabletopModel:
 
 @cache
 def reach_model(image_size: int) -> TabletopModel:
-    """Meta-World's Reach with three coloured balls and its puck unseen, for images up to that size; built once."""
+    """Meta-World's Reach with coloured balls and its puck unseen, up to images ``(size, size, 3)``; built once."""
     spec = read_scene(REACH_FILE)
     for name, rgba in BALLS.items():
         ball, sphere = spec.worldbody.add_body(name=name, mocap=True), mujoco.mjtGeom.mjGEOM_SPHERE
@@ -73,7 +73,7 @@ def reach_model(image_size: int) -> TabletopModel:
 
 @cache
 def window_model(image_size: int) -> TabletopModel:
-    """Meta-World's window, which stands elsewhere in each episode, for images up to that size; built once."""
+    """Meta-World's window, which stands elsewhere in each episode, up to images ``(size, size, 3)``; built once."""
     spec = read_scene(WINDOW_FILE)
     # A mocap body's place is state, not model, so one model serves all episodes.
     spec.body("window").mocap = True

@@ -56,7 +56,7 @@ class TabletopPhysics(Engine[Room]):
         return self._observation(np.arange(count))
 
     def step(self, actions: np.ndarray, rows: np.ndarray) -> tuple[Observation[np.ndarray], np.ndarray]:
-        """Observations ``(n, …)`` after one control step of ``rows (n,)``, and a mask ``(n,)`` of the invalid ones."""
+        """Observations ``(n, …)`` after one control step of rows ``(n,)``, and a mask ``(n,)`` of the invalid ones."""
         valid = self.advance(rows, actions, self._change)
         return self._observation(rows), ~valid
 

@@ -106,7 +106,7 @@ class Tabletop(Simulator):
 
     @abstractmethod
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Place ``(n, 3)`` of the ball or handle in each of the ``episodes (n,)``, m: for experts, not policies."""
+        """Place ``(n, 3)`` of the ball or handle in each of the episodes ``(n,)``, m: for experts, not policies."""
 
     @abstractmethod
     def _layout(self, task: str, stream: np.random.Generator) -> Layout: ...
