@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from datamodules.errors import UserError
-from datamodules.settings import NonNegativeInt, PositiveFloat, PositiveInt
+from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import EpisodeStream, episode_generator, start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
@@ -141,7 +141,7 @@ class LinearPointExpert(Expert):
         gain: Action for each unit of distance.
     """
 
-    def __init__(self, gain: PositiveFloat = 2.0) -> None:
+    def __init__(self, gain: NonNegativeFloat = 2.0) -> None:
         self.gain = gain
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:

@@ -71,7 +71,7 @@ class WaypointExpert(Expert):
     """
 
     def __init__(
-        self, gain: PositiveFloat = 10.0, damping: NonNegativeFloat = 1.0, width: PositiveFloat = 0.35
+        self, gain: NonNegativeFloat = 10.0, damping: NonNegativeFloat = 1.0, width: PositiveFloat = 0.35
     ) -> None:
         self._gain, self._damping, self._width = gain, damping, width
 
