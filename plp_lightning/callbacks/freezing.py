@@ -42,8 +42,9 @@ class FreezeGuard(Callback):
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         for module in _frozen(pl_module).values():
             module.requires_grad_(False)
+        if self.before:
+            self._compare(pl_module)
         self.before = self.before or _hashes(pl_module)
-        self._compare(pl_module)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         for module in _frozen(pl_module).values():

@@ -1,4 +1,4 @@
-"""Intervals around what a handful of episodes or seeds can tell; ``confidence`` is how often one holds the truth."""
+"""Intervals for a handful of episodes or seeds; ``confidence`` is the share of intervals that hold the truth."""
 
 from __future__ import annotations
 
