@@ -15,13 +15,13 @@ from functools import partial
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.experts.lift import LiftExpert
 from plp_lightning.envs.lift.model import robosuite_env
 from plp_lightning.envs.lift.osc import SUBSTEPS
 from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.lift.tasks import Robot
 from plp_lightning.envs.native import STATE
-from plp_lightning.envs.threads import available_cores
 
 ROBOSUITE_SHARE = 4
 """Of the 27 episodes, those that the slow loop of robosuite steps in each round."""

@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
+from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.maze.base import Maze
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
-from plp_lightning.envs.threads import available_cores
 
 BODIES: dict[str, Callable[[], Maze]] = {
     "point": lambda: PointMaze("medium"),

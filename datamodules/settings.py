@@ -74,7 +74,8 @@ class Configured:
     """Remembers the arguments that it was built with and refuses those outside of the bounds in its signature.
 
     Raises:
-        ConfigError: If an argument is outside of its bound.
+        ConfigError: If an argument is outside of its bound, or a type in the signature has a name that is unknown when
+            the program runs.
     """
 
     arguments: dict[str, Any]  # By name, defaults included; those of the outermost class that was built
@@ -82,16 +83,31 @@ class Configured:
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Look at the arguments before the constructor does, so that no class has to hand them on."""
         made = super().__new__(cls)
+        # A class without a constructor would take anything, and say nothing.
+        constructor = cls.__init__ if cls.__init__ is not object.__init__ else _take_nothing
         # Copies and unpickled objects are made without arguments; their state brings what is remembered.
-        bound = inspect.signature(cls.__init__).bind_partial(made, *args, **kwargs)
+        bound = inspect.signature(constructor).bind_partial(made, *args, **kwargs)
         bound.apply_defaults()
         found = dict([*bound.arguments.items()][1:])
         object.__setattr__(made, "arguments", found)
-        # A dataclass inherits fields, each with names of the module that it stands in.
-        hints = get_type_hints(cls if dataclasses.is_dataclass(cls) else cls.__init__)
+        hints = _hints(cls, constructor)
         for name, value in found.items():
             _check_bounds(f"{cls.__name__}.{name}", hints.get(name), value)
         return made
+
+
+def _take_nothing(self: object) -> None:
+    """Stand for the constructor of a class that has none."""
+
+
+def _hints(kind: type, constructor: Callable[..., None]) -> dict[str, Any]:
+    try:
+        # A dataclass inherits fields, each with names of the module that it stands in.
+        return get_type_hints(kind if dataclasses.is_dataclass(kind) else constructor)
+    except NameError as error:
+        raise ConfigError(
+            f"{kind.__name__}: {error}; expected types that its module imports, not for type checkers alone"
+        ) from None
 
 
 def _check_bounds(place: str, hint: Any, value: Any) -> None:

@@ -71,16 +71,13 @@ class RandomState(Callback):
         self.loaded: dict[str, Any] | None = None
 
     def state_dict(self) -> dict[str, Any]:
-        """States of torch, Python and numpy as plain data."""
         name, keys, *rest = np.random.get_state(legacy=True)
         return {"torch": torch.get_rng_state(), "python": random.getstate(), "numpy": (name, keys.tolist(), *rest)}  # type: ignore[union-attr]
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Keep the states until training goes on."""
         self.loaded = state_dict
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Put the loaded states back, once."""
         if self.loaded is None:
             return
         torch.set_rng_state(self.loaded["torch"])
@@ -92,12 +89,7 @@ class RandomState(Callback):
 
 
 class BestCheckpoint(ModelCheckpoint):
-    """Writes ``best.ckpt``, by a held-out loss.
-
-    Args:
-        folder: Where it goes.
-        monitor: Name of the loss.
-    """
+    """Writes ``best.ckpt`` into a folder, by the held-out loss that is named."""
 
     state_key = (
         "ModelCheckpoint{'monitor': 'val/bc', 'mode': 'min', 'every_n_train_steps': 0, 'every_n_epochs': 1, "
@@ -113,17 +105,8 @@ class BestCheckpoint(ModelCheckpoint):
 def best_and_last(folder: Path, monitor: str | None) -> list[ModelCheckpoint]:
     """``best.ckpt`` by held-out loss and ``last.ckpt``; one callback for both would let "last" fall behind.
 
-    Args:
-        folder: Where they go.
-        monitor: Name of the held-out loss; None if nothing is held out, so that there is no best.
+    If nothing is held out, there is no loss to ``monitor`` and no best.
     """
-    last = ModelCheckpoint(
-        dirpath=folder,
-        filename="last",
-        monitor=None,
-        save_top_k=1,
-        every_n_epochs=1,
-        save_on_train_epoch_end=True,
-        enable_version_counter=False,
-    )
+    always: dict[str, Any] = {"every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
+    last = ModelCheckpoint(folder, "last", monitor=None, save_top_k=1, **always)
     return [last] if monitor is None else [BestCheckpoint(folder, monitor), last]

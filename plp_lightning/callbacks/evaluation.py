@@ -1,4 +1,4 @@
-"""Success rates in the simulators while a phase trains."""
+"""Success rates in the simulators, and alignment scores, while a phase trains."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 
 from lightning.pytorch import Callback, LightningModule, Trainer
 
+from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Simulator
 from plp_lightning.evaluation.behaviour import BehaviourMetric
+from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
 from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.policy import AligningPolicy
 
-FIRST_GUESS = 1.0
-"""What an evaluation is taken to cost before the first one, s."""
-SHARE = 0.1
-"""Of the time since the last evaluation, what the next one may take if nothing else is asked for."""
+FIRST_GUESS = 1.0  # what an evaluation is taken to cost before the first one, s
+SHARE = 0.1  # share of the time since the last evaluation that the next one may take if nothing else is asked for
 
 
 class SimulatorEvaluation(Callback):
@@ -47,11 +48,9 @@ class SimulatorEvaluation(Callback):
         self.cost, self.last = FIRST_GUESS, time.monotonic()
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Begin to count the time of training."""
         self.last = time.monotonic()
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Evaluate, if it is this epoch's turn."""
         if self._due(trainer.current_epoch + 1) and isinstance(pl_module, Phase):
             began = time.monotonic()
             self._evaluate(pl_module)
@@ -64,13 +63,33 @@ class SimulatorEvaluation(Callback):
         return self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
 
     def _evaluate(self, phase: Phase) -> None:
-        training = phase.policy.training
-        phase.policy.eval()
-        settings, episodes = self.eval_settings, self.episodes
-        outcomes = evaluate_all(phase.policy, self.simulators, settings, episodes, self.seed, self.metrics)
+        training, plan = phase.policy.training, (self.eval_settings, self.episodes, self.seed, self.metrics)
+        outcomes = evaluate_all(phase.policy.eval(), self.simulators, *plan)
         phase.policy.train(training)
         for name, outcome in outcomes.items():
             phase.log(f"eval/{name}_success", outcome.success)
             phase.log(f"eval/{name}_invalid", float(outcome.invalid))
             for metric, value in outcome.behaviour.items():
                 phase.log(f"eval/{name}_{metric}", value)
+
+
+class AlignmentMetrics(Callback):
+    """Logs ``alignment/<score>`` every n epochs.
+
+    Args:
+        score: Score to measure.
+        data: The demonstrations.
+        simulators: By domain.
+        every_n_epochs: Epochs between two measurements; 0 leaves it to the end of the phase.
+    """
+
+    def __init__(
+        self, score: AlignmentScore, data: TransferDataModule, simulators: Mapping[str, Simulator], every_n_epochs: int
+    ) -> None:
+        self.score, self.data, self.simulators, self.every_n_epochs = score, data, simulators, every_n_epochs
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        turn = self.every_n_epochs > 0 and (trainer.current_epoch + 1) % self.every_n_epochs == 0
+        if turn and isinstance(pl_module, Phase) and isinstance(pl_module.policy, AligningPolicy):
+            for name, value in self.score(pl_module.policy, self.data, self.simulators).items():
+                pl_module.log(f"alignment/{name}", value)

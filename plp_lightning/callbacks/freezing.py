@@ -27,52 +27,46 @@ def module_hash(module: nn.Module) -> str:
 
 
 class FreezeGuard(Callback):
-    """Freezes what a phase declares frozen, and hashes it before and after.
+    """Freezes the parts that a phase declares frozen, and hashes them before and after.
 
     ``requires_grad = False`` alone would let buffers move and leave dropout on, so the parts are also kept
     in eval mode. The first hashes travel in the checkpoint: a resumed run is held to those of its beginning.
+
+    Raises:
+        FrozenPartsChangedError: At the end, if a frozen parameter or buffer differs from before.
     """
 
     def __init__(self) -> None:
         self.before: dict[str, str] = {}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Freeze, then hash or compare with the hashes that a checkpoint brought."""
         for module in _frozen(pl_module).values():
             module.requires_grad_(False)
-        now = self._hashes(pl_module)
-        self.before = self.before or now
-        self._compare(now)
+        if self.before:
+            self._compare(pl_module)
+        self.before = self.before or _hashes(pl_module)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Back to eval mode, whatever has called ``train()`` since."""
         for module in _frozen(pl_module).values():
-            module.eval()
+            module.eval()  # again: Lightning calls ``train()`` on all
 
     def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Compare.
-
-        Raises:
-            FrozenPartsChangedError: If a frozen parameter or buffer differs from before.
-        """
-        self._compare(self._hashes(pl_module))
+        self._compare(pl_module)
 
     def state_dict(self) -> dict[str, Any]:
-        """The hashes from before training."""
         return {"before": self.before}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over the hashes from before the interruption."""
         self.before = state_dict["before"]
 
-    def _compare(self, now: dict[str, str]) -> None:
-        changed = [name for name, value in now.items() if value != self.before.get(name)]
+    def _compare(self, phase: LightningModule) -> None:
+        changed = [name for name, value in _hashes(phase).items() if value != self.before.get(name)]
         if changed:
             raise FrozenPartsChangedError(f"frozen parts changed during training: {', '.join(changed)}")
 
-    @staticmethod
-    def _hashes(phase: LightningModule) -> dict[str, str]:
-        return {name: module_hash(module) for name, module in _frozen(phase).items()}
+
+def _hashes(phase: LightningModule) -> dict[str, str]:
+    return {name: module_hash(module) for name, module in _frozen(phase).items()}
 
 
 def _frozen(phase: LightningModule) -> dict[str, nn.Module]:

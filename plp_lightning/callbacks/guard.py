@@ -16,13 +16,16 @@ class DivergedError(UserError):
 
 
 class FiniteGuard(Callback):
-    """Lightning trains on silently after a NaN; this raises instead.
+    """Stops where Lightning would train on silently, at a NaN.
 
     The loss is looked at every ``every_n_steps`` so that the check costs no synchronisation in between;
     a NaN stays a NaN, so none is missed, and parameters are checked before each checkpoint is written.
 
     Args:
         every_n_steps: Steps between two looks at the loss.
+
+    Raises:
+        DivergedError: If the loss is not finite, or a parameter when a checkpoint is to be written.
     """
 
     def __init__(self, every_n_steps: int = 20) -> None:
@@ -31,28 +34,15 @@ class FiniteGuard(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Look at the loss.
-
-        Raises:
-            DivergedError: If it is not finite.
-        """
-        if batch_idx % self.every_n_steps == 0 and not torch.isfinite(_loss(outputs)).all():
+        loss: Tensor = outputs["loss"] if isinstance(outputs, dict) else outputs
+        if batch_idx % self.every_n_steps == 0 and not torch.isfinite(loss).all():
             raise DivergedError(_message(trainer, pl_module, "the loss is not finite"))
 
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
-        """Look at the parameters: a checkpoint with a NaN must not replace a good one.
-
-        Raises:
-            DivergedError: If one is not finite.
-        """
+        # A checkpoint with a NaN must not replace a good one.
         bad = [name for name, p in pl_module.named_parameters() if not torch.isfinite(p).all()]
         if bad:
             raise DivergedError(_message(trainer, pl_module, f"parameter {bad[0]} is not finite"))
-
-
-def _loss(outputs: Any) -> Tensor:
-    loss: Tensor = outputs["loss"] if isinstance(outputs, dict) else outputs
-    return loss
 
 
 def _message(trainer: Trainer, pl_module: LightningModule, what: str) -> str:

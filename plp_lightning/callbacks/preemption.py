@@ -11,11 +11,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 
 
 class PreemptedError(Exception):
-    """The process was asked to stop and has saved where it stands.
-
-    Args:
-        number: The signal.
-    """
+    """The process was asked to stop by a signal of that number, and has saved where it stands."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"stopped by {signal.Signals(number).name}")
@@ -23,51 +19,40 @@ class PreemptedError(Exception):
 
 
 class Preemption(Callback):
-    """Turns SIGTERM and SIGINT into a checkpoint and an exit code that schedulers understand.
+    """Turns SIGTERM and SIGINT into a ``checkpoint`` and an exit code that schedulers understand.
 
-    Args:
-        checkpoint: Where to save.
+    It saves at a step's end and leaves before the next step, when the one before has been logged, or after the last
+    epoch, which has saved itself.
+
+    Raises:
+        PreemptedError: If a signal has come and the state is saved.
     """
 
     def __init__(self, checkpoint: Path) -> None:
-        self.checkpoint = checkpoint
-        self.received, self.saved = 0, False
+        self.checkpoint, self.received, self.saved = checkpoint, 0, False
         self.previous: dict[int, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Watch for signals while there is something to save."""
         for number in (signal.SIGTERM, signal.SIGINT):
             self.previous[number] = signal.signal(number, self._notice)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Save, at a point that a resumed run can go on from; an epoch's end is left to save itself."""
         if self.received and not self.saved:
             self.saved = True
-            if batch_idx + 1 < trainer.num_training_batches:
+            if batch_idx + 1 < trainer.num_training_batches:  # an epoch's end saves itself
                 trainer.save_checkpoint(self.checkpoint)
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Leave before the next step, when the one before has been logged.
-
-        Raises:
-            PreemptedError: If a signal has come and the state is saved.
-        """
         if self.saved:
             raise PreemptedError(self.received)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Leave after the last epoch, which has saved itself.
-
-        Raises:
-            PreemptedError: If a signal has come.
-        """
         if self.received:
             raise PreemptedError(self.received)
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Give the signals back."""
         while self.previous:
             signal.signal(*self.previous.popitem())
 

@@ -26,8 +26,7 @@ from plp_lightning.cli.layers import Tree, completed, insert, overlay, read_yaml
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
-from plp_lightning.evaluation.joint_score import JointScore
-from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.evaluation.scores import AlignmentScore, JointScore
 from plp_lightning.runs.collection import ExpertCollector
 from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory, check_names, check_roles
 from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan

@@ -1,10 +1,10 @@
 """SIMULATORS: one folder a family, stepped in batches behind one small interface; importing them is cheap."""
 
 from plp_lightning.envs.base import Domain, Expert, Simulator, Step
-from plp_lightning.envs.lift import Lift
-from plp_lightning.envs.maze import PointMaze, WalkerMaze
+from plp_lightning.envs.lift.simulator import Lift
+from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
-from plp_lightning.envs.tabletop import Reach, Window
+from plp_lightning.envs.tabletop.simulator import Reach, Window
 from plp_lightning.envs.tasks import Tasks
 
 __all__ = [

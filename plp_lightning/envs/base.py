@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from datamodules.settings import Configured
 from datamodules.types import DomainSpec, Observation
 from plp_lightning.envs.tasks import Tasks
 
@@ -24,7 +26,7 @@ class Step(NamedTuple):
     """``(n,)`` bool: the simulation diverged or the action was not finite; the episode is over."""
 
 
-class Simulator(ABC):
+class Simulator(Configured, ABC):
     """A domain that can be stepped, E episodes at once: ``tasks``, ``spec``, ``reset`` and ``step`` are all it takes.
 
     What it may show beside that, for pictures and scores, is in :mod:`plp_lightning.envs.views`. Construction is cheap
@@ -44,35 +46,44 @@ class Simulator(ABC):
 
     @abstractmethod
     def spec(self, name: str) -> DomainSpec:
-        """Observation and action space, under the name that the experiment gives this domain."""
+        """States ``(O,)``, images and actions ``(A,)``, under the name that the experiment gives this domain."""
 
     @abstractmethod
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin E episodes, one for each (task, seed), and return their first observations ``(E, …)``."""
+        """Begin E episodes, one for each (task, seed), and return their first observations ``(E, …)``.
+
+        Raises:
+            ConfigError: If a task is unknown.
+            UserError: If images cannot be drawn on this machine.
+        """
 
     @abstractmethod
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, A)`` for one control step to the ``episodes (n,)`` that still run.
+        """Apply actions ``(n, A)`` for one control step to the episodes ``(n,)`` that still run.
 
         Actions are clipped to [-1, 1]. Rows of the result are in the order of ``episodes``.
         """
 
 
-class Expert(ABC):
+class Expert(Configured, ABC):
     """Demonstrates: acts on many episodes of one simulator at once, from observations alone."""
 
     @abstractmethod
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Get ready for E episodes that were just reset with these tasks and seeds."""
+        """Get ready for episodes ``(E,)`` that were just reset with these tasks and seeds.
+
+        Raises:
+            ConfigError: If it demonstrates in other simulators than this one.
+        """
 
     @abstractmethod
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, A)`` in [-1, 1] for the ``episodes (n,)`` whose observations are given."""
+        """Actions ``(n, A)`` in [-1, 1] for the episodes ``(n,)`` whose observations are given."""
 
 
 @dataclass
 class Domain:
-    """One entry of an experiment's ``domains``: what simulates it, and who demonstrates in it.
+    """One entry of an experiment's ``domains``: a simulator and its demonstrator.
 
     Args:
         simulator: The domain's simulator.
@@ -81,3 +92,8 @@ class Domain:
 
     simulator: Simulator
     expert: Expert | None = None
+
+
+def available_cores() -> int:
+    """Cores that the scheduler grants this process, which containers and batch queues restrict."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -16,12 +16,12 @@ from typing import Any, Generic, TypeVar
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.native import STATE
-from plp_lightning.envs.threads import available_cores
 
 R = TypeVar("R")
 Change = Callable[[R, np.ndarray, np.ndarray, np.ndarray], object]
-"""Takes a thread's room, rows ``(m,)``, their actions ``(m, A)`` and ``valid (m,)``; advances the valid rows between
+"""Takes a thread's room, rows ``(m,)``, their actions ``(m, A)`` and a mask ``(m,)``; advances the valid rows between
 :func:`~plp_lightning.envs.native.load` and :func:`~plp_lightning.envs.native.save`, and marks those that diverge."""
 
 
@@ -40,13 +40,12 @@ class Engine(ABC, Generic[R]):
     """The states of E episodes, and the threads that advance them.
 
     Args:
-        model: What is simulated; its automatic reset is switched off, since a diverged episode must be seen.
-        threads: How many; 0 means one for each core.
+        model: Model that is simulated; its automatic reset is switched off, since a diverged episode must be seen.
+        threads: Number of threads; 0 means one for each core.
         least: Rows that a thread takes at a time at least, where the way to them costs more than one takes.
     """
 
-    states: np.ndarray
-    """``(E, S)`` float64."""
+    states: np.ndarray  # (E, S) float64
 
     def __init__(self, model: mujoco.MjModel, threads: int = 0, least: int = 1) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -56,21 +55,21 @@ class Engine(ABC, Generic[R]):
 
     @abstractmethod
     def room(self, data: mujoco.MjData) -> R:
-        """Make of a thread's MjData what the thread works with."""
+        """Make a thread's room of its MjData."""
 
     def columns(self, part: mujoco.mjtState) -> slice:
-        """Columns of the states that hold one part, such as ``mjtState.mjSTATE_MOCAP_POS``."""
+        """Columns of states ``(E, S)`` that hold one part, such as ``mjtState.mjSTATE_MOCAP_POS``."""
         start = mujoco.mj_stateSize(self.model, STATE & (int(part) - 1))
         return slice(start, start + mujoco.mj_stateSize(self.model, int(part)))
 
     def begin(self, episodes: int) -> None:
-        """Make a row for each of so many episodes: the model's reference configuration at rest."""
+        """Make states ``(E, S)`` for so many episodes: the model's reference configuration at rest."""
         row = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, mujoco.MjData(self.model), row, STATE)
         self.states = np.tile(row, (episodes, 1))
 
     def advance(self, rows: np.ndarray, actions: np.ndarray, change: Change[R]) -> np.ndarray:
-        """Advance ``rows (n,)`` by ``actions (n, A)``, shared out among the threads.
+        """Advance rows ``(n,)`` by actions ``(n, A)``, shared out among the threads.
 
         Returns:
             Which are valid, ``(n,)`` bool: a row whose action is not finite or whose physics diverges is not, and
@@ -83,13 +82,15 @@ class Engine(ABC, Generic[R]):
 
     def share(self, count: int, work: Callable[[R, slice], object]) -> None:
         """Do ``work`` on all parts of ``range(count)``, each in some thread's room."""
-        parts = list(self._parts(count))
+        parts = [*self._parts(count)]
         left = iter(parts)
 
         def labour() -> None:
-            room = self._enter()
+            if _own.data is None:
+                data = mujoco.MjData(self.model)
+                _own.room, _own.data = self.room(data), data
             for part in left:  # whoever is free takes the next
-                work(room, part)
+                work(_own.room, part)
 
         for job in [self._pool.submit(labour) for _ in range(min(self.threads, len(parts)))]:
             job.result()
@@ -101,10 +102,3 @@ class Engine(ABC, Generic[R]):
             stop = min(count, start + max(self.least, (count - start) // (2 * self.threads)))
             yield slice(start, stop)
             start = stop
-
-    def _enter(self) -> R:
-        if _own.data is None:
-            data = mujoco.MjData(self.model)
-            _own.room, _own.data = self.room(data), data
-        room: R = _own.room
-        return room

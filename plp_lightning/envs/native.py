@@ -20,19 +20,13 @@ R = TypeVar("R")
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 """Everything of an MjData that the next step depends on, warm start, controls and mocap bodies among it."""
-DIVERGED = 1e6
-"""A state beyond this in any coordinate has blown up, well before MuJoCo's own limit of 1e10."""
-
-
-def _library() -> str:
-    """Path of the C library inside the mujoco package."""
-    names = ("libmujoco.so*", "libmujoco.*dylib", "mujoco.dll")
-    folder = Path(mujoco.__file__).parent
-    return str(next(path for name in names for path in sorted(folder.glob(name))))
+DIVERGED = 1e6  # a state beyond this in any coordinate has blown up, well before MuJoCo's own limit of 1e10
 
 
 # Compiled code finds MuJoCo's functions by name, so that it can be cached on disk.
-llvmlite.binding.load_library_permanently(_library())
+_names, _folder = ("libmujoco.so*", "libmujoco.*dylib", "mujoco.dll"), Path(mujoco.__file__).parent
+_library = next(path for name in _names for path in sorted(_folder.glob(name)))
+llvmlite.binding.load_library_permanently(str(_library))
 
 
 def _c_function(name: str, *arguments: types.Type) -> Callable[..., None]:
@@ -61,37 +55,27 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
 
 def inner(function: Callable[P, R]) -> Callable[P, R]:
     """Compile what only compiled code calls: without the wrapper for Python, which costs more than the function."""
-    options: dict[str, Any] = {
-        "nogil": True,
-        "error_model": "numpy",
-        "no_cpython_wrapper": True,
-        "no_cfunc_wrapper": True,
-    }
-    return cast("Callable[P, R]", numba.njit(**options)(function))
+    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return cast("Callable[P, R]", numba.njit(nogil=True, error_model="numpy", **options)(function))
 
 
 class Desk(NamedTuple):
     """One thread's MjData: where it is, and what every family needs of it."""
 
     model: int
-    """Address of the MjModel."""
-    data: int
-    """Address of the MjData."""
-    ctrl: np.ndarray
-    """``(U,)``: the controls that are held."""
-    after: np.ndarray
-    """``(S,)``: room for a state."""
+    data: int  # address of the MjData, as model is that of the MjModel
+    ctrl: np.ndarray  # (U,): the controls that are held
+    after: np.ndarray  # (S,): room for a state
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Desk:
-        """Views of ``data``, valid as long as it lives."""
-        room = np.empty(mujoco.mj_stateSize(model, STATE))
-        return cls(model._address, data._address, data.ctrl, room)
+        """Views of ``data``, controls ``(U,)``, valid as long as it lives."""
+        return cls(model._address, data._address, data.ctrl, np.empty(mujoco.mj_stateSize(model, STATE)))
 
 
 @inner
 def sane(values: np.ndarray) -> bool:
-    """True if all ``values (n,)`` are finite and of a size that physics can have."""
+    """True if all values ``(n,)`` are finite and of a size that physics can have."""
     for value in values:  # noqa: SIM110 - numba compiles the loop, not the generator
         if not abs(value) < DIVERGED:
             return False
@@ -100,18 +84,14 @@ def sane(values: np.ndarray) -> bool:
 
 @entry
 def load(desk: Desk, state: np.ndarray) -> bool:
-    """Put a row's ``state (S,)`` on the desk; True if it is one to go on from."""
+    """Put a row's state ``(S,)`` on the desk; True if it is one to go on from."""
     _set_state(desk.model, desk.data, state.ctypes.data, STATE)
     return sane(state)
 
 
 @entry
 def save(desk: Desk, state: np.ndarray) -> bool:
-    """Make what is on the desk the row's ``state (S,)``, unless it diverged: then the row keeps its last valid one.
-
-    Returns:
-        True if the state is valid.
-    """
+    """Make what is on the desk the row's state ``(S,)``; False if it diverged, and then the row stays as it was."""
     _get_state(desk.model, desk.data, desk.after.ctypes.data, STATE)
     if not sane(desk.after):
         return False

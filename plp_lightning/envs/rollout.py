@@ -13,14 +13,13 @@ from plp_lightning.envs.base import Simulator, Step
 
 @dataclass(frozen=True)
 class Episodes:
-    """Outcome of E episodes; row i belongs to the i-th task and seed."""
+    """Outcome of E episodes, ``(E,)`` each; row i belongs to the i-th task and seed."""
 
     success: np.ndarray
-    """``(E,)`` bool."""
     invalid: np.ndarray
-    """``(E,)`` bool: the simulation diverged; such an episode is no success and stays in the count."""
+    """The simulation diverged; such an episode is no success and stays in the count."""
     steps: np.ndarray
-    """``(E,)`` int64: control steps until success, the end or divergence."""
+    """Control steps until success, the end or divergence, int64."""
 
 
 class Observer:
@@ -30,10 +29,10 @@ class Observer:
         """Hear that E episodes of these tasks and seeds begin, with first observations ``(E, …)``."""
 
     def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
-        """Hear what ``actions (n, A)`` brought to the ``episodes (n,)`` that still ran."""
+        """Hear what actions ``(n, A)`` brought to the episodes ``(n,)`` that still ran."""
 
     def end(self, outcome: Episodes) -> None:
-        """Hear how the episodes ended."""
+        """Hear how the E episodes ended: ``(E,)`` each of success, divergence and length."""
 
 
 def rollout(
@@ -53,14 +52,16 @@ def rollout(
         seeds: Seed of each episode.
         hold_steps: Control steps for which an episode goes on after its first success.
         observers: Hear everything, the observations after the last actions included.
+
+    Returns:
+        Success, divergence and length of each episode, ``(E,)`` each.
     """
     observation = simulator.reset(tasks, seeds)
     for observer in observers:
         observer.begin(tasks, seeds, observation)
     running = np.arange(len(tasks))
     solved_at = np.full(len(tasks), simulator.horizon + 1)
-    invalid = np.zeros(len(tasks), dtype=bool)
-    steps = np.full(len(tasks), simulator.horizon)
+    invalid, steps = np.zeros(len(tasks), dtype=bool), np.full(len(tasks), simulator.horizon)
     for t in range(1, simulator.horizon + 1):
         actions = act(observation, running)
         step = simulator.step(actions, running)

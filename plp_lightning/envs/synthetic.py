@@ -1,11 +1,8 @@
 """Domains with a known answer: one point in the plane, seen and moved through a different linear map in each.
 
-All domains share the latent state p in the plane and the latent action u, a velocity. A domain shows
-``A p + b`` for its own injective A and takes ``R u`` for its own rotation R, so the maps that a transfer
-has to find exist, are linear and are known. They make every part of the framework run in seconds.
-
-Where the goals are may also be a thing that a camera alone shows: three coloured spots in an order that changes
-from episode to episode.
+All domains share the latent state p in the plane and the latent action u, a velocity. A domain shows ``A p + b`` for
+its own injective A and takes ``R u`` for its own rotation R, so the maps that a transfer has to find exist, are linear
+and are known. They make every part of the framework run in seconds.
 """
 
 from __future__ import annotations
@@ -15,17 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from datamodules.errors import UserError
+from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import EpisodeStream, episode_generator, start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
 from plp_lightning.envs.tasks import Tasks
 
-GOALS = 8
-"""Goals on the unit circle; a task is one of them."""
-RADIUS = 0.15
-"""An episode succeeds within this distance of its goal."""
-STRIDE = 0.1
-"""Distance that a full action moves the point in one control step."""
+GOALS = 8  # goals on the unit circle; a task is one of them
+RADIUS = 0.15  # an episode succeeds within this distance of its goal
+STRIDE = 0.1  # distance that a full action moves the point in one control step
 
 
 class LinearPoint(Simulator):
@@ -40,16 +35,14 @@ class LinearPoint(Simulator):
     tasks = Tasks("LinearPoint", tuple(f"goal_{i}" for i in range(GOALS)))
     threads = 1
 
-    def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40) -> None:
+    def __init__(self, map_seed: NonNegativeInt, state_size: PositiveInt = 4, horizon: PositiveInt = 40) -> None:
         self.map_seed, self.state_size, self.horizon = map_seed, state_size, horizon
         rng = np.random.default_rng(map_seed)
         self.lift = np.linalg.qr(rng.normal(size=(state_size, 2)))[0]
         self.shift = rng.normal(size=state_size)
-        angle = rng.uniform(0, 2 * np.pi)
-        self.rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        self.rotation = _rotation(rng.uniform(0, 2 * np.pi))
 
     def spec(self, name: str) -> DomainSpec:
-        """The lifted position; two actions."""
         keys = (ObservationKey("position", (self.state_size,)),)
         return DomainSpec(name, keys, 2, control_hz=10.0, env=f"LinearPoint({self.map_seed})")
 
@@ -63,18 +56,16 @@ class LinearPoint(Simulator):
         return np.array([self.goal(task) for task in tasks])
 
     def goal(self, task: str) -> np.ndarray:
-        """The task's goal in the plane."""
+        """The task's goal ``(2,)`` in the plane."""
         angle = 2 * np.pi * self.tasks.names.index(task) / GOALS
         return np.array([np.cos(angle), np.sin(angle)])
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Points near the centre."""
         self.goals = self.goals_of(tasks, seeds)
         self.point = np.array([start_generator(seed).uniform(-0.3, 0.3, 2) for seed in seeds])
         return self._observe(np.arange(len(tasks)))
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Move by the action turned back into the plane."""
         invalid = ~np.isfinite(actions).all(axis=1)
         clean = np.clip(np.nan_to_num(actions), -1, 1)
         self.point[episodes] += STRIDE * clean @ self.rotation
@@ -100,14 +91,18 @@ class SeenPoint(LinearPoint):
 
     tasks = Tasks("SeenPoint", ("red", "green", "blue"))
 
-    def __init__(self, map_seed: int, state_size: int = 4, horizon: int = 40, image_size: int = 16) -> None:
+    def __init__(
+        self,
+        map_seed: NonNegativeInt,
+        state_size: PositiveInt = 4,
+        horizon: PositiveInt = 40,
+        image_size: PositiveInt = 16,
+    ) -> None:
         super().__init__(map_seed, state_size, horizon)
         self.image_size = image_size
-        angle = np.random.default_rng([map_seed, 1]).uniform(0, 2 * np.pi)
-        self.view = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        self.view = _rotation(np.random.default_rng([map_seed, 1]).uniform(0, 2 * np.pi))
 
     def spec(self, name: str) -> DomainSpec:
-        """The lifted position and an image; two actions."""
         camera = ObservationKey("camera", (self.image_size, self.image_size, 3), kind="image")
         keys = (camera, ObservationKey("position", (self.state_size,)))
         return DomainSpec(name, keys, 2, control_hz=10.0, env=f"SeenPoint({self.map_seed})")
@@ -119,11 +114,9 @@ class SeenPoint(LinearPoint):
         return np.array([places[episode_generator(seed, EpisodeStream.SPOTS).permutation(3)] for seed in seeds])
 
     def goals_of(self, tasks: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
-        """Places of the spots in the tasks' colours, ``(E, 2)``."""
         return self.spots(seeds)[np.arange(len(tasks)), [self.tasks.names.index(task) for task in tasks]]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Points near the centre, spots in an order of their own."""
         self.colours = self.spots(seeds)
         return super().reset(tasks, seeds)
 
@@ -133,7 +126,7 @@ class SeenPoint(LinearPoint):
         return Observation(state, np.minimum(lights * 255, 255).astype(np.uint8))
 
     def _light(self, places: np.ndarray) -> np.ndarray:
-        """Spots of light at ``places (n, C, 2)``, one a channel, as ``(n, H, W, C)``; C = 1 is white."""
+        """Spots of light at places ``(n, C, 2)``, one a channel, as ``(n, H, W, C)``; C = 1 is white."""
         seen = places @ self.view.T
         pixels = np.linspace(-1.3, 1.3, self.image_size)
         rows, columns = (np.exp(-((pixels[:, None] - seen[:, None, :, i]) ** 2) / 0.05) for i in range(2))
@@ -148,19 +141,21 @@ class LinearPointExpert(Expert):
         gain: Action for each unit of distance.
     """
 
-    def __init__(self, gain: float = 2.0) -> None:
+    def __init__(self, gain: NonNegativeFloat = 2.0) -> None:
         self.gain = gain
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Look up the goals and the maps."""
         if not isinstance(simulator, LinearPoint):
             raise UserError(f"LinearPointExpert demonstrates in LinearPoint only, not in {type(simulator).__name__}")
         self.simulator, self.goals = simulator, simulator.goals_of(tasks, seeds)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """The clipped velocity towards the goal, in the domain's own action frame."""
         point = (observation.state - self.simulator.shift) @ self.simulator.lift
         velocity = self.gain * (self.goals[episodes] - point)
         speed = np.linalg.norm(velocity, axis=1, keepdims=True)
         actions: np.ndarray = (velocity / np.maximum(1, speed)) @ self.simulator.rotation.T
         return actions
+
+
+def _rotation(angle: float) -> np.ndarray:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -19,8 +19,7 @@ class Tasks:
         family: Name of the family, for messages.
         names: All tasks in their canonical order.
         targets: Targets of several tasks by name, such as a goal from each start zone; every task is a target too.
-        is_proxy: Whether the first task may align the domains when the second is to be transferred; all others may
-            if not given.
+        is_proxy: True if the first task may align the domains when the second is transferred; by default all others.
 
     Example:
         >>> tasks = Tasks("colours", ("red", "green", "blue"))
@@ -39,9 +38,8 @@ class Tasks:
         Raises:
             ConfigError: If there is one.
         """
-        known = frozenset(self.names)
-        for name in names:
-            if name not in known:
+        for name in dict.fromkeys(names):
+            if name not in self.names:
                 self._refuse("task", name, self.names)
 
     def of(self, target: str) -> tuple[str, ...]:
@@ -63,8 +61,8 @@ class Tasks:
         """Tasks that may align the domains when ``target`` is to be transferred, none of its own.
 
         Args:
-            target: What is to be transferred.
-            goals: Of how many targets, all their tasks each; None takes all. Fewer are always among more.
+            target: Target that is to be transferred.
+            goals: Number of targets, with all their tasks each; None takes all. Fewer are always among more.
 
         Raises:
             ConfigError: If there is no such target, or there are not as many.
@@ -75,9 +73,8 @@ class Tasks:
             return proxies
         known = list(dict.fromkeys(map(self.target_of, proxies)))
         if not 1 <= goals <= len(known):
-            raise ConfigError(
-                f"--data.proxy_goals is {goals}; expected 1 to {len(known)}, as many as proxies have goals"
-            )
+            expected = f"expected 1 to {len(known)}, as many as proxies have goals"
+            raise ConfigError(f"--data.proxy_goals is {goals}; {expected}")
         # The same for every run, so that fewer goals are among more.
         chosen = {known[i] for i in generator(Stream.PROXY_GOALS).permutation(len(known))[:goals]}
         return tuple(task for task in proxies if self.target_of(task) in chosen)

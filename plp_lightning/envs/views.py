@@ -1,7 +1,4 @@
-"""Views that a simulator may have beside its observations, for pictures and scores; training and testing need none.
-
-A simulator has a view if it has the method. Whoever needs one asks for it here.
-"""
+"""Views beside observations, for pictures and scores alone: a simulator has one if it has the method."""
 
 from __future__ import annotations
 
@@ -16,19 +13,12 @@ from datamodules.errors import UserError
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A domain from above, in the frame of shared positions: the first axis down, the second right.
+    """A domain from above, in the frame of shared positions: the first axis down, the second right."""
 
-    Args:
-        walls: Centres of the square blocks that walls are made of, ``(W, 2)``.
-        side: Side of a block.
-        goals: Where each task ends.
-        radius: Distance from its goal at which a task is solved.
-    """
-
-    walls: np.ndarray
-    side: float
-    goals: Mapping[str, tuple[float, float]]
-    radius: float
+    walls: np.ndarray  # centres (W, 2) of the square blocks that walls are made of
+    side: float  # side of a block
+    goals: Mapping[str, tuple[float, float]]  # end of each task
+    radius: float  # distance from its goal at which a task is solved
 
 
 @runtime_checkable
@@ -44,7 +34,7 @@ class Planned(Located, Protocol):
     """A simulator that can be drawn from above."""
 
     def floor_plan(self) -> FloorPlan:
-        """Walls and goals, in the frame of :meth:`shared_position`."""
+        """Walls ``(W, 2)`` and goals, in the frame of :meth:`shared_position`."""
 
 
 @runtime_checkable
@@ -52,7 +42,7 @@ class Arranged(Protocol):
     """A simulator whose episodes of a task differ by more than continuous amounts."""
 
     def arrangement(self, task: str, seed: int) -> str:
-        """A word for what an episode of ``task`` with ``seed`` holds in which place."""
+        """A word for the places of things in the episode of ``task`` with ``seed``."""
 
 
 def located(simulator: object) -> Located:
@@ -61,9 +51,9 @@ def located(simulator: object) -> Located:
     Raises:
         UserError: If it does not.
     """
-    if not isinstance(simulator, Located):
-        raise UserError(
-            f"{type(simulator).__name__} knows no position that domains share; give it shared_position(state), "
-            "or choose another --score"
-        )
-    return simulator
+    if isinstance(simulator, Located):
+        return simulator
+    raise UserError(
+        f"{type(simulator).__name__} knows no position that domains share; give it shared_position(state), "
+        "or choose another --score"
+    )

@@ -9,18 +9,15 @@ from torchmetrics.utilities import dim_zero_cat
 
 from datamodules.errors import UserError
 
-CLOSEST = 0.05
-"""Share of all cross-domain pairs that counts as close; so much is scored by chance."""
+CLOSEST = 0.05  # share of all cross-domain pairs that counts as close; so much is scored by chance
 
 
 def closeness(latent_a: Tensor, latent_b: Tensor, position_a: Tensor, position_b: Tensor) -> Tensor:
     """Probability that corresponding states are among the closest 5 % of all cross-domain pairs of latents.
 
-    A state corresponds to that state of the other domain whose position is nearest. Mean of both directions,
-    a → b and b → a. Chance scores 0.05; latents that are
-    all the same score 0, since none of their distances is below the quantile. See "Cross-Domain Policy Transfer
-    by Representation Alignment via Multi-Domain Behavioral Cloning" (https://arxiv.org/abs/2407.16912),
-    section 5.3 and its appendix.
+    A state corresponds to that state of the other domain whose position is nearest. Mean of both directions. Chance
+    scores 0.05; latents that are all the same score 0, since none of their distances is below the quantile. See
+    https://arxiv.org/abs/2407.16912, section 5.3 and its appendix.
 
     Args:
         latent_a: ``(N, Z)``.
@@ -48,12 +45,10 @@ def closeness(latent_a: Tensor, latent_b: Tensor, position_a: Tensor, position_b
 
 
 def top_accuracy(latent_a: Tensor, latent_b: Tensor, k: int) -> Tensor:
-    """How often a state's true partner is among the k latents of the other domain that are nearest.
+    """Share of states whose true partner is among the k latents of the other domain that are nearest.
 
-    Mean of both directions. Of latents that are equally far, any order is equally likely, so that latents that
-    are all the same score k / N, as chance does. See "Cross-Domain Policy Transfer by Representation Alignment
-    via Multi-Domain Behavioral Cloning" (https://arxiv.org/abs/2407.16912), section 5.3 and its appendix
-    (1000 pairs).
+    Mean of both directions. Of latents that are equally far, any order is equally likely, so that latents that are
+    all the same score k / N, as chance does. See https://arxiv.org/abs/2407.16912, section 5.3 and its appendix.
 
     Args:
         latent_a: ``(N, Z)``.
@@ -75,8 +70,29 @@ def top_accuracy(latent_a: Tensor, latent_b: Tensor, k: int) -> Tensor:
     return (_hit_rate(distance, k) + _hit_rate(distance.T, k)) / 2
 
 
-class Closeness(Metric):
-    """:func:`closeness` of all states seen since the last reset.
+class _Collected(Metric):
+    """Keeps all states seen since the last reset, a list of tensors for each name."""
+
+    is_differentiable = False
+    higher_is_better = True
+    full_state_update = False
+    names: tuple[str, ...]
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in self.names:
+            self.add_state(name, default=[], dist_reduce_fx="cat")
+
+    def update(self, *states: Tensor) -> None:
+        for name, found in zip(self.names, states, strict=True):
+            getattr(self, name).append(found)
+
+    def _seen(self) -> list[Tensor]:
+        return [dim_zero_cat(getattr(self, name)) for name in self.names]
+
+
+class Closeness(_Collected):
+    """:func:`closeness` of all states seen since the last reset: latents and positions, as that takes them.
 
     Example:
         >>> metric, line = Closeness(), torch.arange(100.0).view(-1, 1)
@@ -86,37 +102,17 @@ class Closeness(Metric):
         tensor(1.)
     """
 
-    is_differentiable = False
-    higher_is_better = True
-    full_state_update = False
-    latent_a: list[Tensor]
-    latent_b: list[Tensor]
-    position_a: list[Tensor]
-    position_b: list[Tensor]
-
-    def __init__(self) -> None:
-        super().__init__()
-        for name in ("latent_a", "latent_b", "position_a", "position_b"):
-            self.add_state(name, default=[], dist_reduce_fx="cat")
-
-    def update(self, latent_a: Tensor, latent_b: Tensor, position_a: Tensor, position_b: Tensor) -> None:
-        """Add states: latents ``(N, Z)`` and ``(M, Z)``, positions ``(N, P)`` and ``(M, P)``."""
-        self.latent_a.append(latent_a)
-        self.latent_b.append(latent_b)
-        self.position_a.append(position_a)
-        self.position_b.append(position_b)
+    names = ("latent_a", "latent_b", "position_a", "position_b")
 
     def compute(self) -> Tensor:
-        """Scalar in [0, 1]."""
-        latents = dim_zero_cat(self.latent_a), dim_zero_cat(self.latent_b)
-        return closeness(*latents, dim_zero_cat(self.position_a), dim_zero_cat(self.position_b))
+        return closeness(*self._seen())
 
 
-class TopAccuracy(Metric):
+class TopAccuracy(_Collected):
     """:func:`top_accuracy` of all true pairs seen since the last reset.
 
     Args:
-        k: How many nearest latents may hold the partner.
+        k: Number of nearest latents that may hold the partner.
 
     Example:
         >>> metric = TopAccuracy(k=1)
@@ -125,26 +121,15 @@ class TopAccuracy(Metric):
         tensor(1.)
     """
 
-    is_differentiable = False
-    higher_is_better = True
-    full_state_update = False
-    latent_a: list[Tensor]
-    latent_b: list[Tensor]
+    names = ("latent_a", "latent_b")
 
     def __init__(self, k: int = 1) -> None:
         super().__init__()
         self.k = k
-        self.add_state("latent_a", default=[], dist_reduce_fx="cat")
-        self.add_state("latent_b", default=[], dist_reduce_fx="cat")
-
-    def update(self, latent_a: Tensor, latent_b: Tensor) -> None:
-        """Add true pairs: ``(N, Z)`` twice, row i of both the same state of the world."""
-        self.latent_a.append(latent_a)
-        self.latent_b.append(latent_b)
 
     def compute(self) -> Tensor:
-        """Scalar in [0, 1]."""
-        return top_accuracy(dim_zero_cat(self.latent_a), dim_zero_cat(self.latent_b), self.k)
+        latent_a, latent_b = self._seen()
+        return top_accuracy(latent_a, latent_b, self.k)
 
 
 def _distances(a: Tensor, b: Tensor) -> Tensor:

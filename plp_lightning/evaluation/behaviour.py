@@ -6,10 +6,11 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from datamodules.settings import Configured
 from plp_lightning.envs.rollout import Episodes, Observer
 
 
-class BehaviourMetric(Observer, ABC):
+class BehaviourMetric(Configured, Observer, ABC):
     """One number for a set of episodes, kept beside their success.
 
     It may hear them while they run, see :class:`~plp_lightning.envs.rollout.Observer`; every set begins anew.
@@ -20,7 +21,7 @@ class BehaviourMetric(Observer, ABC):
 
     @abstractmethod
     def value(self, outcome: Episodes) -> float | None:
-        """The number for the episodes that just ended; None if there is nothing to tell."""
+        """The number for the episodes ``(E,)`` that just ended; None if there is nothing to tell."""
 
 
 class StepsToSuccess(BehaviourMetric):
@@ -29,5 +30,4 @@ class StepsToSuccess(BehaviourMetric):
     name = "steps_to_success"
 
     def value(self, outcome: Episodes) -> float | None:
-        """The mean; None if no episode succeeded."""
         return float(np.mean(outcome.steps[outcome.success])) if outcome.success.any() else None

@@ -1,4 +1,4 @@
-"""How well the latent spaces of the domains agree, on demonstrations of the proxy tasks."""
+"""Agreement of the domains' latent spaces, on demonstrations of the proxy tasks."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from datamodules.errors import ConfigError
+from datamodules.settings import Configured, PositiveInt
 from datamodules.streams import Stream, generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
@@ -24,7 +25,7 @@ from plp_lightning.evaluation.simulation import EvalSetting
 from plp_lightning.methods.policy import AligningPolicy
 
 
-class AlignmentScore(ABC):
+class AlignmentScore(Configured, ABC):
     """Scores the latent states of source and target domain."""
 
     names: ClassVar[tuple[str, ...]] = ()
@@ -48,15 +49,11 @@ class AlignmentScore(ABC):
     def correspondences(
         self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
     ) -> dict[str, Observation[Tensor]] | None:
-        """States of proxy tasks that correspond: of source and target domain, row i of both the same situation.
-
-        Args:
-            data: The demonstrations.
-            simulators: By domain.
-            count: How many pairs; fewer if there are not as many.
+        """States of proxy tasks that correspond, ``count`` pairs, or fewer if there are not as many.
 
         Returns:
-            Observations ``(P, …)`` of the source domain, then of the target domain; None if this score knows of none.
+            Observations ``(P, …)`` of the source domain, then of the target domain, row i of both the same situation;
+            None if this score knows of none.
         """
         return None
 
@@ -68,47 +65,35 @@ class ClosenessScore(AlignmentScore):
 
     Args:
         samples: States of each domain.
-        guide: Who shows the target task to both domains at the end of a phase, to score its states apart, as
+        guide: Expert that shows the target task in both domains at the end of a phase, to score its states apart, as
             the paper does for V2V-Open; None leaves that away.
-        guided_episodes: How many episodes that takes in each domain.
-
-    Raises:
-        ConfigError: If ``guided_episodes`` is not positive.
+        guided_episodes: Episodes that it shows in each domain.
     """
 
     names = ("closeness", "closeness_target")
 
-    def __init__(self, samples: int = 2000, guide: Expert | None = None, guided_episodes: int = 24) -> None:
-        if guided_episodes < 1:
-            raise ConfigError(f"score.guided_episodes is {guided_episodes}; expected at least 1; raise it")
+    def __init__(
+        self, samples: PositiveInt = 2000, guide: Expert | None = None, guided_episodes: PositiveInt = 24
+    ) -> None:
         self.samples, self.guide, self.guided_episodes = samples, guide, guided_episodes
 
     def __call__(
         self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
-        """``{"closeness": …}``."""
         states = {d: sample_states(data, d, self.samples) for d in (data.source_domain, data.target_domain)}
         return {"closeness": self._closeness(policy, simulators, states)}
 
     def of_target(
         self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
-        """``{"closeness_target": …}``, or nothing without a guide."""
         if self.guide is None:
             return {}
-        states = {
-            domain: guided_states(
-                simulators[domain], self.guide, domain, data.target_tasks, self.guided_episodes, self.samples
-            )
-            for domain in (data.source_domain, data.target_domain)
-        }
+        both, wanted = (data.source_domain, data.target_domain), (data.target_tasks, self.guided_episodes, self.samples)
+        states = {domain: guided_states(simulators[domain], self.guide, domain, *wanted) for domain in both}
         return {"closeness_target": self._closeness(policy, simulators, states)}
 
     def _closeness(
-        self,
-        policy: AligningPolicy,
-        simulators: Mapping[str, Simulator],
-        states: Mapping[str, Observation[Tensor]],
+        self, policy: AligningPolicy, simulators: Mapping[str, Simulator], states: Mapping[str, Observation[Tensor]]
     ) -> float:
         latents = [encode(policy, domain, seen) for domain, seen in states.items()]
         places = [torch.from_numpy(places_of(simulators[domain], seen)) for domain, seen in states.items()]
@@ -117,7 +102,7 @@ class ClosenessScore(AlignmentScore):
     def correspondences(
         self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
     ) -> dict[str, Observation[Tensor]]:
-        """Source states, each with a target state of its own so near that all gaps together are smallest."""
+        """Source states ``(P, …)``, each with a target state of its own so near that all gaps together are smallest."""
         source, target = data.source_domain, data.target_domain
         few, many = sample_states(data, source, count), sample_states(data, target, self.samples)
         here, there = places_of(simulators[source], few), places_of(simulators[target], many)
@@ -127,7 +112,7 @@ class ClosenessScore(AlignmentScore):
 
 
 class PairAccuracy(AlignmentScore):
-    """How often a state's true partner has the nearest latent (top-1), or one of the five nearest (paper, 5.3).
+    """Share of states whose true partner has the nearest latent (top-1), or one of the five nearest (paper, 5.3).
 
     For point mazes that show the same physics in different ways, so that the partner of every state is known.
 
@@ -137,17 +122,12 @@ class PairAccuracy(AlignmentScore):
 
     names = ("top1", "top5")
 
-    def __init__(self, samples: int = 1000) -> None:
+    def __init__(self, samples: PositiveInt = 1000) -> None:
         self.samples = samples
 
     def __call__(
         self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
     ) -> dict[str, float]:
-        """``{"top1": …, "top5": …}``.
-
-        Raises:
-            ConfigError: If a domain is no point maze.
-        """
         pairs = self.correspondences(data, simulators, self.samples)
         here, there = (encode(policy, domain, seen) for domain, seen in pairs.items())
         return {f"top{k}": float(top_accuracy(here, there, k)) for k in (1, 5)}
@@ -155,7 +135,7 @@ class PairAccuracy(AlignmentScore):
     def correspondences(
         self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
     ) -> dict[str, Observation[Tensor]]:
-        """Target states and, exactly, what the source domain shows of the same physics.
+        """Target states ``(P, …)`` and, exactly, those that the source domain shows of the same physics.
 
         Raises:
             ConfigError: If a domain is no point maze.
@@ -169,7 +149,7 @@ class PairAccuracy(AlignmentScore):
 
 
 def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray:
-    """How ``other`` shows what ``maze`` shows as ``state (N, 4)``."""
+    """States ``(N, 4)`` of ``other`` for the same physics as states ``(N, 4)`` of ``maze``."""
     return other.states_of_domain(maze.states_in_maze(state))
 
 
@@ -179,29 +159,22 @@ def places_of(simulator: Simulator, seen: Observation[Tensor]) -> np.ndarray:
 
 
 def sample_states(data: TransferDataModule, domain: str, count: int) -> Observation[Tensor]:
-    """``count`` states of a domain's proxy trajectories (all, if there are fewer); the same at every call."""
+    """``(count, …)`` states of a domain's proxy trajectories (all, if there are fewer); the same at every call."""
     return data.datasets[domain].observation.take(torch.from_numpy(sample_rows(data, domain, count)))
 
 
 def sample_rows(data: TransferDataModule, domain: str, count: int) -> np.ndarray:
-    """Rows of :func:`sample_states` in the domain's dataset."""
+    """Rows ``(count,)`` of :func:`sample_states` in the domain's dataset."""
     rows = np.sort(np.concatenate([data.rows(data.proxy_tasks, part)[domain] for part in data.parts]))
-    chosen: np.ndarray = generator(Stream.SCORED_STATES, list(data.domains).index(domain)).permutation(rows)[:count]
-    return chosen
+    return generator(Stream.SCORED_STATES, list(data.domains).index(domain)).permutation(rows)[:count]
 
 
 def guided_states(
     simulator: Simulator, guide: Expert, domain: str, tasks: Sequence[str], episodes: int, count: int
 ) -> Observation[Tensor]:
-    """``count`` states of an expert's episodes (all, if there are fewer), with seeds of their own, always the same.
+    """``(count, …)`` states of an expert's episodes (all, if there are fewer), always the same.
 
-    Args:
-        simulator: The domain.
-        guide: Who acts.
-        domain: The domain's name.
-        tasks: Tasks that take turns.
-        episodes: How many.
-        count: States.
+    Its ``episodes``, in which the ``tasks`` take turns, have seeds of their own.
     """
     turns, seeds = EvalSetting(domain, tuple(tasks)).in_turn("score", 0, episodes)
     seen: list[Observation[np.ndarray]] = []
@@ -224,3 +197,44 @@ def encode(policy: AligningPolicy, domain: str, observation: Observation[Tensor]
     """Latent states ``(N, Z)`` on the CPU."""
     device = next(policy.parameters()).device
     return policy.encode({domain: observation.map(lambda x: x.to(device))})[domain].cpu()
+
+
+class JointScore(AlignmentScore):
+    """Gives the scores of all by name, and the correspondences of the first that knows some.
+
+    Args:
+        scores: The scores, one or more.
+
+    Raises:
+        ConfigError: If two of them share a name.
+    """
+
+    def __init__(self, scores: Sequence[AlignmentScore]) -> None:
+        self.scores = tuple(scores)
+        self._joined([dict.fromkeys(score.names, 0.0) for score in self.scores])
+
+    def __call__(
+        self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+    ) -> dict[str, float]:
+        return self._joined([score(policy, data, simulators) for score in self.scores])
+
+    def of_target(
+        self, policy: AligningPolicy, data: TransferDataModule, simulators: Mapping[str, Simulator]
+    ) -> dict[str, float]:
+        return self._joined([score.of_target(policy, data, simulators) for score in self.scores])
+
+    def correspondences(
+        self, data: TransferDataModule, simulators: Mapping[str, Simulator], count: int
+    ) -> dict[str, Observation[Tensor]] | None:
+        known = (score.correspondences(data, simulators, count) for score in self.scores)
+        return next((found for found in known if found is not None), None)
+
+    def _joined(self, parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        owners: dict[str, str] = {}
+        for owner, part in zip((type(score).__name__ for score in self.scores), parts, strict=True):
+            for name in part:
+                if name in owners:
+                    both = f"{owners[name]} and {owner} both give {name!r}"
+                    raise ConfigError(f"score: {both}; expected names of their own: drop one")
+                owners[name] = owner
+        return {name: value for part in parts for name, value in part.items()}

@@ -24,25 +24,17 @@ class Acting(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one set of episodes.
+    """Result of one set of episodes."""
 
-    Args:
-        success: Share of successful episodes; invalid ones count as failed.
-        episodes: How many were run.
-        invalid: How many diverged.
-        interval: 95 % Wilson interval of the success rate.
-        behaviour: Metrics of behaviour by name, without those that have nothing to tell.
-    """
-
-    success: float
-    episodes: int
-    invalid: int
-    interval: tuple[float, float]
-    behaviour: Mapping[str, float] = field(default_factory=dict)
+    success: float  # share of successful episodes; invalid ones count as failed
+    episodes: int  # number that were run
+    invalid: int  # number that diverged
+    interval: tuple[float, float]  # 95 % Wilson interval of the success rate
+    behaviour: Mapping[str, float] = field(default_factory=dict)  # without metrics that have nothing to tell
 
     @classmethod
     def of(cls, episodes: Episodes, metrics: Sequence[BehaviourMetric] = ()) -> Outcome:
-        """Count and measure."""
+        """Count and measure the outcome ``(E,)`` of episodes."""
         count, solved = len(episodes.success), int(episodes.success.sum())
         behaviour = {metric.name: value for metric in metrics if (value := metric.value(episodes)) is not None}
         invalid, interval = int(episodes.invalid.sum()), success_interval(solved, count)
@@ -77,18 +69,9 @@ def evaluate(
     metrics: Sequence[BehaviourMetric] = (),
     observers: Sequence[Observer] = (),
 ) -> Outcome:
-    """Run ``episodes`` of a trial at once.
+    """Run so many ``episodes`` of a trial at once; the tasks take turns.
 
-    Episode i always begins in the same state for a given seed, whatever else is run.
-
-    Args:
-        policy: Whose actor is called once for each time step on the batch of running episodes.
-        simulator: The trial's domain.
-        trial: Domain and tasks.
-        episodes: How many; tasks take turns.
-        seed: Seed of the run.
-        metrics: Metrics of behaviour.
-        observers: Further observers of these episodes.
+    Episode i always begins in the same state for a given ``seed``, whatever else is run.
     """
     tasks, seeds = trial.in_turn("evaluate", seed, episodes)
     actor = policy.actor(trial.domain, tasks)
@@ -104,17 +87,7 @@ def evaluate_all(
     metrics: Sequence[BehaviourMetric] = (),
     observers: Mapping[str, Sequence[Observer]] | None = None,
 ) -> dict[str, Outcome]:
-    """Outcome of every trial, by its name.
-
-    Args:
-        policy: Who acts.
-        simulators: By domain.
-        trials: By name.
-        episodes: Episodes of each trial.
-        seed: Seed of the run.
-        metrics: Metrics of behaviour.
-        observers: By trial: further observers of its episodes.
-    """
+    """Outcome of every trial by its name; ``simulators`` are by domain, ``observers`` by trial."""
     watching = observers or {}
     return {
         name: evaluate(policy, simulators[trial.domain], trial, episodes, seed, metrics, watching.get(name, ()))

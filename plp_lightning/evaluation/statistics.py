@@ -1,4 +1,4 @@
-"""Intervals: how much a handful of episodes or seeds can tell."""
+"""Intervals for a handful of episodes or seeds; ``confidence`` is the share of intervals that hold the truth."""
 
 from __future__ import annotations
 
@@ -26,13 +26,8 @@ def success_interval(successes: int, episodes: int, confidence: float = 0.95) ->
     See "Probable Inference, the Law of Succession, and Statistical Inference"
     (https://doi.org/10.1080/01621459.1927.10502953).
 
-    Args:
-        successes: Episodes that solved the task.
-        episodes: All episodes that count; with none of them the rate may be anything.
-        confidence: How often such an interval holds the true rate, in (0, 1).
-
     Returns:
-        Lower and upper bound, shares in [0, 1].
+        Lower and upper bound, shares in [0, 1]; with no episodes the rate may be anything.
 
     Raises:
         UserError: If the counts or the confidence are impossible.
@@ -52,11 +47,7 @@ def success_interval(successes: int, episodes: int, confidence: float = 0.95) ->
 
 
 def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Estimate:
-    """Mean over independent runs, such as seeds, with the interval of Student's t.
-
-    Args:
-        values: One number a run.
-        confidence: How often such an interval holds the true mean, in (0, 1).
+    """Mean over independent runs ``(n,)``, such as seeds, with the interval of Student's t.
 
     Returns:
         The mean and its interval; the bounds are NaN for a single run, and may leave [0, 1] for success rates.
@@ -78,22 +69,14 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Estimate
 
 
 def difference_interval(first: Sequence[float], second: Sequence[float], confidence: float = 0.95) -> Estimate:
-    """Mean of ``first`` minus mean of ``second``, two methods' runs say, with Welch's interval.
+    """Mean of ``first`` ``(n,)`` minus mean of ``second`` ``(m,)``, two methods' runs say, with Welch's interval.
 
     The methods differ at this confidence if the interval leaves out 0. Variances needn't be equal. See "The
     Generalization of 'Student's' Problem when Several Different Population Variances are Involved"
     (https://doi.org/10.1093/biomet/34.1-2.28).
 
-    Args:
-        first: One number a run, at least two.
-        second: Likewise; the number of runs may differ.
-        confidence: How often such an interval holds the true difference, in (0, 1).
-
-    Returns:
-        The difference and its interval.
-
     Raises:
-        UserError: If there are fewer than two values, one is not finite, or the confidence is impossible.
+        UserError: If one has fewer than two values, one is not finite, or the confidence is impossible.
     """
     _check_confidence(confidence)
     _check_values(first, least=2)

@@ -10,44 +10,27 @@ from lightning.pytorch import Trainer
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.rollout import Observer
 from plp_lightning.evaluation.simulation import EvalSetting
-from plp_lightning.pictures.film_figure import film_figure, film_frames
-from plp_lightning.pictures.films import FilmRecorder, film_recorders
-from plp_lightning.pictures.path_figure import Panel, path_figure
-from plp_lightning.pictures.paths import PathRecorder, path_recorders
+from plp_lightning.pictures.films import FilmRecorder, film_figure, film_frames, film_recorders
+from plp_lightning.pictures.paths import Panel, PathRecorder, path_figure, path_recorders
 from plp_lightning.pictures.publish import publish, publish_film
 
-FILMED = 4
-"""Episodes that are filmed for each that is shown, so that there are failures to show."""
+FILMED = 4  # episodes that are filmed for each that is shown, so that there are failures to show
 
 
 @dataclass(frozen=True)
 class EpisodePictures:
-    """Watches the episodes of the target task, and shows what it saw.
-
-    Args:
-        titles: By trial.
-        paths: By trial, where there is a floor plan.
-        films: By trial, where there is a camera.
-        shown: Films of each trial that are shown.
-    """
+    """Watches the episodes of the target task, and shows them; all is by trial."""
 
     titles: Mapping[str, str]
-    paths: Mapping[str, PathRecorder]
-    films: Mapping[str, FilmRecorder]
-    shown: int
+    paths: Mapping[str, PathRecorder]  # where there is a floor plan
+    films: Mapping[str, FilmRecorder]  # where there is a camera
+    shown: int  # films of each trial that are shown
 
     @classmethod
     def of(
         cls, simulators: Mapping[str, Simulator], settings: Mapping[str, EvalSetting], target_task: str, shown: int
     ) -> EpisodePictures:
-        """Recorders for the target task in target and source domain, as far as there is something to see.
-
-        Args:
-            simulators: By domain.
-            settings: Episodes that are evaluated, by name; ``target`` and ``source`` are pictured.
-            target_task: Name of the target task.
-            shown: Films of each setting that are shown.
-        """
+        """Recorders for the settings ``target`` and ``source``, as far as there is something to see."""
         watched = {name: setting for name, setting in settings.items() if name in ("target", "source")}
         titles = {name: f"{target_task} in {name} domain: {setting.domain}" for name, setting in watched.items()}
         paths = path_recorders(simulators, watched)
@@ -60,7 +43,7 @@ class EpisodePictures:
         return {name: [found[name] for found in recorders if name in found] for name in self.titles}
 
     def publish(self, trainer: Trainer) -> None:
-        """Show what was watched: ``paths`` and ``film`` in TensorBoard, as PNG, and the film as GIF."""
+        """Show the episodes: ``paths`` and ``film`` in TensorBoard, as PNG, and the film as GIF."""
         if self.paths:
             panels = [Panel(self.titles[name], found.plan, found.paths) for name, found in self.paths.items()]
             publish(trainer, "paths", path_figure(panels))

@@ -21,20 +21,10 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy
 from plp_lightning.pictures.publish import publish
 
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
-"""One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart
-(https://jfly.uni-koeln.de/color/)."""
-
-MARKERS = "o^sDvP"
-"""One a domain, in turn."""
-LEGEND: dict[str, Any] = {
-    "loc": "upper center",
-    "bbox_to_anchor": (0.5, 0),
-    "ncols": 3,
-    "markerscale": 2,
-    "frameon": False,
-    "fontsize": 10,
-}
+# One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # https://jfly.uni-koeln.de/color/
+MARKERS = "o^sDvP"  # one a domain, in turn
+LEGEND: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "ncols": 3, "markerscale": 2}
 
 
 class LatentPicture(Callback):
@@ -48,8 +38,8 @@ class LatentPicture(Callback):
         samples: States of each domain.
         every_n_epochs: Epochs between two pictures; 0 draws one at the end of the phase only.
         pairs: Corresponding states that are joined.
-        score: Who knows which states correspond; without one nothing is joined.
-        simulators: By domain.
+        score: Score that knows which states correspond; without one nothing is joined.
+        simulators: Simulators by domain.
     """
 
     def __init__(
@@ -64,7 +54,6 @@ class LatentPicture(Callback):
         self.score, self.simulators = score, simulators or {}
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Draw, if it is this epoch's turn."""
         epoch = trainer.current_epoch + 1
         turn = self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
         policy = pl_module.policy if isinstance(pl_module, Phase) else None
@@ -105,9 +94,9 @@ def latent_figure(
 
     Args:
         latents: By domain, ``(N_d, Z)``.
-        joined: Of two of these domains ``(P, Z)``: row i of both is joined by a line.
-        kinds: By domain, what kind of situation each state is of: a second plot of the same points has a colour for
-            each kind and a marker for each domain. Without any there is one plot.
+        joined: States of two of these domains ``(P, Z)``: row i of both is joined by a line.
+        kinds: By domain, the kind of situation of each state: a second plot of the same points has a colour for each
+            kind and a marker for each domain. Without any there is one plot.
     """
     pairs = dict(joined or {})
     named = {domain: names for domain, names in (kinds or {}).items() if names}
@@ -127,7 +116,7 @@ def latent_figure(
         axes.scatter(points[:, 0], points[:, 1], s=26, color=colours[domain], edgecolors="black", zorder=4)
     axes.set(xticks=[], yticks=[])
     axes.set_title("latent states of the proxy tasks (t-SNE)", fontsize=12)
-    axes.legend(**LEGEND)
+    axes.legend(**LEGEND, frameon=False, fontsize=10)
     for other in more:
         _draw_kinds(other, dict(zip(latents, flat, strict=False)), named)
     return figure
@@ -138,13 +127,11 @@ def _draw_kinds(axes: Axes, points: Mapping[str, np.ndarray], kinds: Mapping[str
     for i, kind in enumerate(sorted({name for names in kinds.values() for name in names})):
         for marker, (domain, names) in zip(MARKERS, kinds.items(), strict=False):
             chosen = points[domain][np.array(names) == kind]
-            label = f"{kind}, {domain}"
-            axes.scatter(
-                chosen[:, 0], chosen[:, 1], s=14, alpha=0.6, color=COLOURS[i % len(COLOURS)], marker=marker, label=label
-            )
+            colour, label = COLOURS[i % len(COLOURS)], f"{kind}, {domain}"
+            axes.scatter(chosen[:, 0], chosen[:, 1], s=14, alpha=0.6, color=colour, marker=marker, label=label)
     axes.set(xticks=[], yticks=[])
     axes.set_title("the same by arrangement", fontsize=12)
-    axes.legend(**LEGEND)
+    axes.legend(**LEGEND, frameon=False, fontsize=10)
 
 
 def _flatten(parts: list[np.ndarray]) -> list[np.ndarray]:

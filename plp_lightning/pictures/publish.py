@@ -1,4 +1,4 @@
-"""A figure where people look for it: as an image in TensorBoard, and as a PNG beside the curves."""
+"""Figures as images in TensorBoard, and as PNG files beside the curves; films as GIF files."""
 
 from __future__ import annotations
 
@@ -16,17 +16,13 @@ from PIL import Image
 from datamodules.store.atomic import locked_folder, replacing
 
 DPI = 120
-FRAME_TIME, LAST_FRAME_TIME = 50, 1000
-"""Time that a frame of a moving picture stays, ms."""
+FRAME_TIME, LAST_FRAME_TIME = 50, 1000  # time that a frame of a moving picture stays, ms
 
 
 def publish(trainer: Trainer, name: str, figure: Figure) -> None:
     """Show a figure as image ``name`` in TensorBoard and leave ``<name>.png``, complete or absent, beside its events.
 
-    Args:
-        trainer: Whose loggers and step to use; without a TensorBoardLogger nothing happens.
-        name: What it shows, in a word.
-        figure: The figure.
+    Without a TensorBoardLogger of the trainer's nothing happens.
     """
     figure.set_dpi(DPI)
     image = pixels(figure)
@@ -41,8 +37,8 @@ def publish_film(trainer: Trainer, name: str, frames: Sequence[np.ndarray]) -> N
     """Leave a moving picture ``<name>.gif``, complete or absent, beside TensorBoard's events.
 
     Args:
-        trainer: Whose loggers to use; without a TensorBoardLogger nothing happens.
-        name: What it shows, in a word.
+        trainer: Trainer with the loggers to use; without a TensorBoardLogger nothing happens.
+        name: Name of the picture, in a word.
         frames: One or more images ``(H, W, 3)`` uint8, all of one shape; the last stays for a second.
     """
     # One palette for all, from both ends: with one each, colours would flicker.

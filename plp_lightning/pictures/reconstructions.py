@@ -1,4 +1,4 @@
-"""Images of cameras, beside what the latent states have kept of it: in TensorBoard and in the run directory."""
+"""Images of cameras beside their reconstructions from latent states, in TensorBoard and in the run directory."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ class ReconstructionPicture(Callback):
         self.samples = samples
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Draw, if this was the last epoch and there is something to draw."""
         last = trainer.current_epoch + 1 == trainer.max_epochs
         if last and isinstance(pl_module, Alignment) and _decoders(pl_module):
             data: TransferDataModule = trainer.datamodule  # type: ignore[attr-defined]
@@ -39,12 +38,7 @@ class ReconstructionPicture(Callback):
 
 @torch.no_grad()
 def reconstructions(phase: Alignment, data: TransferDataModule, count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Images of each domain with a camera, as seen and as reconstructed.
-
-    Args:
-        phase: With an image decoder.
-        data: The demonstrations, of which only proxy tasks are looked at.
-        count: Images of each domain.
+    """``count`` images of proxy tasks of each domain with a camera, as seen and as reconstructed.
 
     Returns:
         By domain ``(N, H, W, C)`` uint8, and ``(N, H', W', C)`` in (0, 1), smaller if the decoder's images are.
@@ -63,11 +57,7 @@ def _decoders(phase: Alignment) -> list[ImageReconstruction]:
 
 
 def reconstruction_figure(pairs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
-    """Two rows for each domain: what was seen, and below it what the latent state tells of it.
-
-    Args:
-        pairs: By domain, images ``(N, H, W, C)`` and reconstructions ``(N, H', W', C)``.
-    """
+    """Two rows for each domain: images ``(N, H, W, C)``, and below them reconstructions ``(N, H', W', C)``."""
     count = max(len(seen) for seen, _ in pairs.values())
     figure = Figure(figsize=(1.2 * count + 1.2, 2.5 * len(pairs)), layout="constrained")
     grid = figure.subplots(2 * len(pairs), count, squeeze=False)

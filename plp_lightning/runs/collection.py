@@ -18,9 +18,8 @@ from datamodules.errors import UserError
 from datamodules.store.writer import TrajectoryFile, add_trajectories
 from datamodules.streams import EpisodeStream, episode_generator, episode_seed
 from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.base import Domain, Step
+from plp_lightning.envs.base import Domain, Step, available_cores
 from plp_lightning.envs.rollout import Observer, rollout
-from plp_lightning.envs.threads import available_cores
 from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.runs.versions import versions

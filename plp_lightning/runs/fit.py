@@ -18,9 +18,8 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from datamodules.errors import CheckpointError, ConfigError
 from datamodules.problem import TransferProblem
-from plp_lightning.callbacks.alignment_score import AlignmentMetrics
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
-from plp_lightning.callbacks.evaluation import SimulatorEvaluation
+from plp_lightning.callbacks.evaluation import AlignmentMetrics, SimulatorEvaluation
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.callbacks.preemption import Preemption

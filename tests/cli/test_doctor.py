@@ -13,9 +13,8 @@ from datamodules.errors import UserError
 from plp_lightning.cli import doctor
 from plp_lightning.cli.doctor import run_doctor
 from plp_lightning.cli.main import find_verb
-from plp_lightning.envs.rendering import speed
-from plp_lightning.envs.rendering.backend import Backend, missing, works
-from plp_lightning.envs.rendering.speed import frames_per_second
+from plp_lightning.envs.rendering import backend as rendering
+from plp_lightning.envs.rendering.backend import Backend, frames_per_second, missing, works
 
 
 def machine(monkeypatch: pytest.MonkeyPatch, speeds: dict[Backend, float], packages: dict[str, str]) -> None:
@@ -86,7 +85,7 @@ def test_a_driver_that_crashes_is_a_backend_that_does_not_work(monkeypatch: pyte
             future.set_exception(BrokenProcessPool("terminated abruptly"))
             return future
 
-    monkeypatch.setattr(speed, "ProcessPoolExecutor", Crashing)
+    monkeypatch.setattr(rendering, "ProcessPoolExecutor", Crashing)
     with pytest.raises(UserError, match="osmesa does not work on this machine"):
         frames_per_second("osmesa")
 

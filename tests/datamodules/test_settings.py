@@ -242,3 +242,29 @@ def test_a_phase_remembers_what_it_was_given(trajectory_file: Path) -> None:
     assert (phase.arguments["epochs"], phase.arguments["bc_reduction"]) == (3, "mean")
     with pytest.raises(ConfigError, match=r"Alignment\.epochs is 0; expected a whole number, at least 1; change it"):
         Alignment(policy, epochs=0)
+
+
+class Plain(Configured):
+    """A class without settings."""
+
+
+class Unimported(Configured):
+    """A class whose signature has a type that is there for type checkers alone."""
+
+    def __init__(self, path: "Nowhere") -> None:  # type: ignore[name-defined]  # noqa: F821, UP037
+        self.path = path
+
+
+def test_a_class_without_settings_takes_none_and_is_built_again() -> None:
+    made = Plain()
+    assert made.arguments == {}
+    assert isinstance(settings.build(settings.recipe(made), Plain, [__name__]), Plain)
+    with pytest.raises(TypeError, match="argument"):
+        Plain(1)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="argument"):
+        Plain(gain=1)  # type: ignore[call-arg]
+
+
+def test_a_type_that_is_unknown_at_run_time_is_one_line() -> None:
+    with pytest.raises(ConfigError, match=r"Unimported: name 'Nowhere' is not defined; expected types that its module"):
+        Unimported("somewhere")

@@ -117,5 +117,5 @@ def test_files_of_plain_agents_stay_as_they_are_and_others_tell_their_frame() ->
 
 @pytest.mark.parametrize("metre", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_metre_has_a_length(metre: float) -> None:
-    with pytest.raises(ConfigError, match=rf"metre is {metre}; expected a length above 0; set what one metre is"):
+    with pytest.raises(ConfigError, match=rf"PointMaze\.metre is {metre}; expected a number above 0; change it"):
         PointMaze("umaze", metre=metre)

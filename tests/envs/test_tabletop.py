@@ -80,9 +80,9 @@ def test_bad_arguments_are_named() -> None:
         Reach("left")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="image_size is 4; expected 8 to 512 pixels"):
         Window("rear", image_size=4)
-    with pytest.raises(UserError, match="horizon is 0, threads is 0"):
+    with pytest.raises(UserError, match=r"Reach\.horizon is 0; expected a whole number, at least 1; change it"):
         Reach("rear", horizon=0)
-    with pytest.raises(UserError, match="threads is -1"):
+    with pytest.raises(UserError, match=r"Window\.threads is -1; expected a whole number, at least 0; change it"):
         Window("rear", threads=-1)
 
 

@@ -13,8 +13,7 @@ from command import SMOKE, complaint, plp, smoke_run, tiny_smoke
 
 from datamodules.errors import ConfigError
 from plp_lightning.cli.config import parse
-from plp_lightning.evaluation.joint_score import JointScore
-from plp_lightning.evaluation.scores import AlignmentScore, ClosenessScore
+from plp_lightning.evaluation.scores import AlignmentScore, ClosenessScore, JointScore
 from plp_lightning.runs.metrics_file import read_rows
 
 SIMULATORS = {name: domain.simulator for name, domain in tiny.domains().items()}

@@ -181,5 +181,5 @@ def test_guided_states_of_a_domain_without_a_camera_have_no_images() -> None:
 
 
 def test_a_guide_needs_an_episode() -> None:
-    with pytest.raises(ConfigError, match=r"score.guided_episodes is 0; expected at least 1"):
+    with pytest.raises(ConfigError, match=r"ClosenessScore\.guided_episodes is 0; expected a whole number, at least 1"):
         ClosenessScore(guided_episodes=0)

@@ -246,8 +246,8 @@ def test_a_run_is_scored_where_it_acts_resumes_to_the_same_weights_and_is_tested
 def test_it_learns_to_act_and_then_to_foresee_a_task_of_which_it_saw_source_states_alone(tmp_path: Path) -> None:
     """Transfer itself is left out: on this pair of domains it rarely succeeds, as docs/methods says.
 
-    So short a training leaves success on proxy tasks to the seed: 0.13 to 0.72 for seeds 0 to 4, 0.28 for this one. What
-    was learnt is told by the errors; success has only to be there.
+    So short a training leaves success on proxy tasks to the seed: 0.13 to 0.72 for seeds 0 to 4, 0.28 for this one.
+    What was learnt is told by the errors; success has only to be there.
     """
     options = [*SMOKE, *OVERLAY, "--data.root", data_root(), "--run_root", tmp_path, *LONGER]
     answer = plp("fit", *options)

@@ -7,9 +7,19 @@ from datamodules.types import Observation
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.evaluation.simulation import EvalSetting
-from plp_lightning.pictures.film_figure import BORDER, CAPTION, IMAGES, TILE, film_figure, film_frames, strip
-from plp_lightning.pictures.films import Film, FilmRecorder, film_recorders
-from plp_lightning.pictures.path_figure import FAILED, SOLVED
+from plp_lightning.pictures.films import (
+    BORDER,
+    CAPTION,
+    IMAGES,
+    TILE,
+    Film,
+    FilmRecorder,
+    film_figure,
+    film_frames,
+    film_recorders,
+    strip,
+)
+from plp_lightning.pictures.paths import FAILED, SOLVED
 
 TASKS, SEEDS = ["red", "green", "blue", "red", "green"], [3, 4, 5, 6, 7]
 

@@ -6,8 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from plp_lightning.envs.views import FloorPlan
-from plp_lightning.pictures.path_figure import FAILED, SOLVED, Panel, path_figure
-from plp_lightning.pictures.paths import Paths
+from plp_lightning.pictures.paths import FAILED, SOLVED, Panel, Paths, path_figure
 
 PLAN = FloorPlan(
     np.array([[0.0, 0], [0, 1], [0, 2], [0, 3], [2, 3]]),

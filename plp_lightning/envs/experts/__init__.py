@@ -1,8 +1,7 @@
-"""EXPERTS: who demonstrates."""
+"""EXPERTS: the demonstrators of each family."""
 
 from plp_lightning.envs.experts.lift import LiftExpert
 from plp_lightning.envs.experts.tabletop import ReachExpert, WindowExpert
-from plp_lightning.envs.experts.walker import WalkerExpert
-from plp_lightning.envs.experts.waypoint import WaypointExpert
+from plp_lightning.envs.experts.waypoint import WalkerExpert, WaypointExpert
 
 __all__ = ["LiftExpert", "ReachExpert", "WalkerExpert", "WaypointExpert", "WindowExpert"]

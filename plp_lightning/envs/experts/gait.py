@@ -12,27 +12,20 @@ from safetensors.numpy import load_file
 from datamodules.errors import CheckpointError
 
 WEIGHTS = Path(__file__).parent / "weights"
-TRAIN = "plp collect --config FILE --train_expert DOMAIN --weights FILE"
-"""The command that trains a gait."""
-VELOCITY_LIMIT = 10.0
-"""Velocities beyond this (m/s, rad/s) look the same to the gait."""
+TRAIN = "plp collect --config FILE --train_expert DOMAIN --weights FILE"  # the command that trains a gait
+VELOCITY_LIMIT = 10.0  # velocities beyond this (m/s, rad/s) look the same to the gait
 
 
 class Symmetry:
     """A walker with n equal legs looks the same when turned by 2 π / n and its legs are renumbered.
 
     A gait therefore need only learn to walk in directions within such an angle: states are turned until the direction
-    lies there, and the torques for them are handed back to the legs they belong to.
-
-    Args:
-        legs: Number of legs, n; joints and motors in the order of
-            :func:`plp_lightning.envs.maze.walker_model.walker_mjcf`.
+    lies there, and the torques for them are handed back to the legs they belong to. Joints and motors are in the order
+    of :func:`plp_lightning.envs.maze.walker_model.walker_mjcf`.
     """
 
     def __init__(self, legs: int) -> None:
-        self.legs = legs
-        self.features = 13 + 4 * legs
-        self._sector = 2 * np.pi / legs
+        self.legs, self.features, self._sector = legs, 13 + 4 * legs, 2 * np.pi / legs
         # Corridors run along the axes: none of those may lie where one turn gives way to the next.
         self._offset = 0.0 if legs % 4 == 0 else 0.25
         angles = (np.arange(legs) + 0.5) * self._sector
@@ -47,11 +40,11 @@ class Symmetry:
         return turns
 
     def turn(self, states: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Features that the gait sees: everything but where the walker is, turned back by :meth:`turns`.
+        """Features that the gait sees: everything but the walker's place, turned back by :meth:`turns`.
 
         Args:
             states: ``(m, 13 + 4 n)``: position xy, height, quaternion, joints, velocities.
-            directions: ``(m, 2)`` unit vectors in the plane: where to go.
+            directions: ``(m, 2)`` unit vectors in the plane, in which to walk.
 
         Returns:
             ``(m, 13 + 4 n)`` float32: the turned states with xy replaced by the turned direction, at the end.
@@ -75,15 +68,12 @@ class Symmetry:
         legs = (np.arange(self.legs) - turns[:, None]) % self.legs
         own = actions.reshape(-1, self.legs, 2)[np.arange(len(turns))[:, None], legs] * self._signs
         # The last leg's motors come first.
-        motors: np.ndarray = np.roll(own, 1, axis=1).reshape(len(turns), -1)
-        return motors
+        return np.roll(own, 1, axis=1).reshape(len(turns), -1)
 
     def _rotate(self, vectors: np.ndarray, turns: np.ndarray) -> np.ndarray:
         cos, sin = np.cos(turns * self._sector), np.sin(turns * self._sector)
-        rotated = vectors.copy()
-        rotated[:, 0] = cos * vectors[:, 0] + sin * vectors[:, 1]
-        rotated[:, 1] = cos * vectors[:, 1] - sin * vectors[:, 0]
-        return rotated
+        x, y = vectors[:, 0], vectors[:, 1]
+        return np.column_stack([cos * x + sin * y, cos * y - sin * x, vectors[:, 2:]])
 
     def _renumber(self, joints: np.ndarray, turns: np.ndarray) -> np.ndarray:
         legs = (np.arange(self.legs) + turns[:, None]) % self.legs
@@ -94,17 +84,11 @@ class Symmetry:
 
 @dataclass(frozen=True)
 class Gait:
-    """A tanh network over normalised features; its weights are the mean of a PPO policy.
+    """A tanh network over normalised features; its weights are the mean of a PPO policy."""
 
-    Args:
-        layers: ``(weight (out, in), bias (out,))`` of each layer, tanh between them.
-        mean: ``(F,)`` mean of the features.
-        scale: ``(F,)`` factor that normalises them.
-    """
-
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
-    mean: np.ndarray
-    scale: np.ndarray
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]  # weight (out, in) and bias (out,) of each, tanh between them
+    mean: np.ndarray  # (F,) mean of the features
+    scale: np.ndarray  # (F,) factor that normalises them
 
     @property
     def legs(self) -> int:
@@ -115,9 +99,9 @@ class Gait:
         """Torques ``(m, 2 n)`` in [-1, 1] that walk from states ``(m, 13 + 4 n)`` in directions ``(m, 2)``."""
         symmetry = Symmetry(self.legs)
         hidden = np.clip((symmetry.turn(states, directions) - self.mean) * self.scale, -10.0, 10.0)
-        *inner, (weight, bias) = self.layers
-        for inner_weight, inner_bias in inner:
-            hidden = np.tanh(hidden @ inner_weight.T + inner_bias)
+        for weight, bias in self.layers[:-1]:
+            hidden = np.tanh(hidden @ weight.T + bias)
+        weight, bias = self.layers[-1]
         return symmetry.torques(np.clip(hidden @ weight.T + bias, -1.0, 1.0), symmetry.turns(directions))
 
     @classmethod

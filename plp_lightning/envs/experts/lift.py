@@ -12,22 +12,14 @@ from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.lift.tasks import block_place
 
-GAIN = 3.0
-"""Largest share of the way to the goal that a control step covers: 1 is slow, 10 chatters."""
-STEP = 0.05
-"""Way of the hand for an action of 1, m."""
-ABOVE = 0.07
-"""Height over the block at which the hand gathers before it descends, m."""
-CLEAR = 0.045
-"""Height over the block below which the hand rises before it moves sideways, m."""
-CREEP = 0.15
-"""Share of the sideways motion that is left while the hand rises."""
-LIFT = 0.15
-"""Height to which the block is lifted, m; more than success asks for."""
-NEAR = 0.01
-"""Distance along the table and in height at which the fingers close, m."""
-OVER = 0.02
-"""Distance along the table at which the hand descends, m."""
+GAIN = 3.0  # largest share of the way to the goal that a control step covers: 1 is slow, 10 chatters
+STEP = 0.05  # way of the hand for an action of 1, m
+ABOVE = 0.07  # height over the block at which the hand gathers before it descends, m
+CLEAR = 0.045  # height over the block below which the hand rises before it moves sideways, m
+CREEP = 0.15  # share of the sideways motion that is left while the hand rises
+LIFT = 0.15  # height to which the block is lifted, m; more than success asks for
+NEAR = 0.01  # distance along the table and in height at which the fingers close, m
+OVER = 0.02  # distance along the table at which the hand descends, m
 HOLDS = {"Sawyer": (-1.0, 0.0025), "UR5e": (1.0, 0.385)}
 """Sign and threshold of the first finger joint: beyond it the fingers are as closed as on a block."""
 
@@ -40,11 +32,6 @@ class LiftExpert(Expert):
     """
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Look up where each episode's block rests.
-
-        Raises:
-            ConfigError: If ``simulator`` is not a :class:`Lift`, or a task is unknown.
-        """
         if not isinstance(simulator, Lift):
             raise ConfigError(f"LiftExpert got simulator {type(simulator).__name__}; expected Lift, pair them so")
         spec = simulator.spec(simulator.robot)
@@ -54,7 +41,6 @@ class LiftExpert(Expert):
         self._blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""
         hand = observation.state[:, self._hand].astype(np.float64)
         block = self._blocks[episodes]
         aside = np.linalg.norm(block[:, :2] - hand[:, :2], axis=1)

@@ -13,18 +13,12 @@ from plp_lightning.envs.experts.gait import Symmetry
 from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.walker_model import walker_mjcf
 
-SUBSTEPS = 5
-"""Physics steps of a control step."""
-HORIZON = 500
-"""Control steps of an episode."""
-REDRAW = 1 / 80
-"""Chance of a new direction and a push in each step."""
-PUSHES = (0.4, 2.0)
-"""Standard deviations of ordinary and of hard pushes, in m/s and rad/s."""
-HARD = 0.2
-"""Share of hard pushes: a walker that begins with a foot in a maze's wall is kicked as hard."""
-SPEED = 2.0
-"""Faster than this (m/s) earns nothing: walkers that run fall over when a clone errs."""
+SUBSTEPS = 5  # physics steps of a control step
+HORIZON = 500  # control steps of an episode
+REDRAW = 1 / 80  # chance of a new direction and a push in each step
+PUSHES = (0.4, 2.0)  # standard deviations of ordinary and of hard pushes, in m/s and rad/s
+HARD = 0.2  # share of hard pushes: a walker that begins with a foot in a maze's wall is kicked as hard
+SPEED = 2.0  # faster than this (m/s) earns nothing: walkers that run fall over when a clone errs
 
 
 class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any without stable-baselines3
@@ -35,7 +29,7 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
 
     Args:
         legs: Legs of the body.
-        walkers: How many walk at once.
+        walkers: Number that walk at once.
         seed: Seeds postures, directions and pushes.
     """
 
@@ -43,34 +37,30 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
 
     def __init__(self, legs: int, walkers: int, seed: int) -> None:
         self._physics = MazePhysics(walker_mjcf(legs), threads=1)
-        model = self._physics.model
-        self._dt = SUBSTEPS * model.opt.timestep
-        self._joints = model.nu
-        self._symmetry = Symmetry(legs)
-        self._rng = np.random.default_rng(seed)
+        self._dt, self._joints = SUBSTEPS * self._physics.model.opt.timestep, 2 * legs
+        self._symmetry, self._rng = Symmetry(legs), np.random.default_rng(seed)
         self._physics.begin(walkers)
         self._rest = self._physics.states[0].copy()
-        self._directions = np.zeros((walkers, 2))
+        self._directions, self._torques = np.zeros((walkers, 2)), np.zeros((walkers, self._joints))
         self._age = np.zeros(walkers, dtype=int)
-        self._torques = np.zeros((walkers, model.nu))
         features = Box(-np.inf, np.inf, (self._symmetry.features,), np.float32)
-        super().__init__(walkers, features, Box(-1, 1, (model.nu,), np.float32))
+        super().__init__(walkers, features, Box(-1, 1, (self._joints,), np.float32))
 
     def integrate(self, integrator: mujoco.mjtIntegrator) -> None:
         """Change the integrator from the next step on."""
         self._physics.model.opt.integrator = integrator
 
     def reset(self) -> np.ndarray:
-        """Begin all episodes; returns features ``(n, F)``."""
+        """Begin all episodes, and return features ``(n, F)``."""
         self._begin(np.arange(self.num_envs))
         return self._features()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the torques of the next step, for the turned bodies."""
+        """Take the torques ``(n, A)`` of the next step, for the turned bodies."""
         self._next_torques = self._symmetry.torques(np.clip(actions, -1, 1), self._symmetry.turns(self._directions))
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Walk one control step; walkers that fell or ran out of time begin again."""
+        """Features ``(n, F)``, rewards ``(n,)`` and ends ``(n,)`` of one step; walkers whose end it is begin again."""
         before = self._qpos[:, :2].copy()
         valid = self._physics.hold(np.arange(self.num_envs), self._next_torques, SUBSTEPS)
         rewards = self._rewards((self._qpos[:, :2] - before) / self._dt)
@@ -122,8 +112,7 @@ class WalkingOnPlane(VecEnv):  # type: ignore[misc, unused-ignore]  # Any withou
 
     def _disturb(self, rows: np.ndarray) -> None:
         """New directions, half of them along the axes, and a push."""
-        angles = self._rng.uniform(0, 2 * np.pi, len(rows))
-        quarter = np.pi / 2
+        angles, quarter = self._rng.uniform(0, 2 * np.pi, len(rows)), np.pi / 2
         angles = np.where(self._rng.random(len(rows)) < 0.5, np.round(angles / quarter) * quarter, angles)
         self._directions[rows] = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         ordinary, hard = PUSHES

@@ -15,39 +15,26 @@ from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.tabletop.simulator import Reach, Window
 
-REACH_GAIN = 5.0
-"""Action for each metre to the ball."""
-FINGERS = np.array([0.0, 0.0, -0.045])
-"""From the hand to the fingertips, m."""
+REACH_GAIN = 5.0  # action for each metre to the ball
+FINGERS = np.array([0.0, 0.0, -0.045])  # from the hand to the fingertips, m
 
 WINDOW_GAIN = 25.0
-BESIDE = np.array([0.03, -0.03, -0.08])
-"""From the handle to where the hand pushes it, m; x is mirrored to open."""
-ABOVE = {"open": 0.3, "close": 0.25}
-"""Height over that place at which the hand gathers, m."""
-OVER = 0.04
-"""Distance along the table at which the hand descends, m."""
-LOW = 0.02
-"""Distance in height at which the hand pushes, m."""
-PUSH = 0.1
-"""Way ahead of itself that the hand aims at then, m."""
+BESIDE = np.array([0.03, -0.03, -0.08])  # from the handle to where the hand pushes it, m; x is mirrored to open
+ABOVE = {"open": 0.3, "close": 0.25}  # height over that place at which the hand gathers, m
+OVER = 0.04  # distance along the table at which the hand descends, m
+LOW = 0.02  # distance in height at which the hand pushes, m
+PUSH = 0.1  # way ahead of itself that the hand aims at then, m
 
 
 class ReachExpert(Expert):
     """Moves the fingertips to the ball, slower as they get there."""
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Remember whom to ask for the balls.
-
-        Raises:
-            ConfigError: If ``simulator`` is not a :class:`Reach`.
-        """
         if not isinstance(simulator, Reach):
             raise ConfigError(f"ReachExpert got simulator {type(simulator).__name__}; expected Reach, pair them so")
         self._simulator = simulator
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""
         return reach(observation.state[:, :3], self._simulator.aims(episodes))
 
 
@@ -55,32 +42,23 @@ class WindowExpert(Expert):
     """Gathers above the handle, descends beside it, pushes."""
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Remember whom to ask for the handles, and which windows are to be opened.
-
-        Raises:
-            ConfigError: If ``simulator`` is not a :class:`Window`.
-        """
         if not isinstance(simulator, Window):
             raise ConfigError(f"WindowExpert got simulator {type(simulator).__name__}; expected Window, pair them so")
         self._simulator = simulator
         self._opens = np.array([task == "open" for task in tasks], dtype=np.bool_)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, 4)`` float32 for the ``episodes (n,)`` whose observations are given."""
         return push(observation.state[:, :3], self._simulator.aims(episodes), self._opens[episodes])
 
 
 def reach(hand: np.ndarray, ball: np.ndarray) -> np.ndarray:
-    """Actions ``(n, 4)`` that bring the fingertips of a hand ``(n, 3)`` to a ball ``(n, 3)``.
-
-    Meta-World's policy brings the hand there, whose fingertips end 4.5 cm below.
-    """
-    way = REACH_GAIN * (ball - FINGERS - hand)
-    return _action(way, grip=0.0)
+    """Actions ``(n, 4)`` that bring the fingertips of a hand ``(n, 3)`` to a ball ``(n, 3)``."""
+    # Meta-World's policy brings the hand there, whose fingertips end 4.5 cm below.
+    return _action(REACH_GAIN * (ball - FINGERS - hand), grip=0.0)
 
 
 def push(hand: np.ndarray, handle: np.ndarray, opens: np.ndarray) -> np.ndarray:
-    """Actions ``(n, 4)`` of a hand ``(n, 3)`` that pushes a handle ``(n, 3)`` along x: forward where ``opens (n,)``."""
+    """Actions ``(n, 4)`` of a hand ``(n, 3)`` that pushes a handle ``(n, 3)`` along x: forward if it ``opens``."""
     forward = np.where(opens, 1.0, -1.0)
     place = handle + BESIDE * np.column_stack([-forward, np.ones((len(hand), 2))])
     far = np.linalg.norm(place[:, :2] - hand[:, :2], axis=1) > OVER

@@ -23,10 +23,8 @@ from torch import nn
 
 from plp_lightning.envs.experts.plane import HORIZON, WalkingOnPlane
 
-NOISE = (0.5, 0.08)
-"""Largest standard deviation of the torques' exploration noise, at the beginning and at the end."""
-COARSE = 0.8
-"""Share of the training with Euler's integrator, a third of the cost of the mazes' Runge-Kutta."""
+NOISE = (0.5, 0.08)  # largest standard deviation of the torques' exploration noise, at the beginning and at the end
+COARSE = 0.8  # share of the training with Euler's integrator, a third of the cost of the mazes' Runge-Kutta
 
 Progress = Callable[[int, str], object]
 """Told after each rollout how many more steps are done, and how well the walkers walk."""
@@ -39,8 +37,7 @@ class _Schedule(BaseCallback):
         self, plane: WalkingOnPlane, steps: int, save: Callable[[], None], every: int, progress: Progress
     ) -> None:
         super().__init__()
-        self._plane, self._steps = plane, steps
-        self._save, self._every, self._progress = save, every, progress
+        self._plane, self._steps, self._save, self._every, self._progress = plane, steps, save, every, progress
         self._lengths: list[int] = []
         self._rewards: list[float] = []
         self._next, self._told = every, 0
@@ -58,7 +55,9 @@ class _Schedule(BaseCallback):
         self._plane.integrate(integrators.mjINT_EULER if progress < COARSE else integrators.mjINT_RK4)
         # With much noise to the end, the noise would hide postures in which the mean alone stands still for ever.
         first, last = NOISE
-        self._log_std().data.clamp_(max=float(np.log(first + min(progress, 1) * (last - first))))
+        self.model.policy.get_parameter("log_std").data.clamp_(
+            max=float(np.log(first + min(progress, 1) * (last - first)))
+        )
 
     def _on_rollout_end(self) -> None:
         done = min(self.num_timesteps, self._steps)
@@ -69,10 +68,6 @@ class _Schedule(BaseCallback):
         if self.num_timesteps >= self._next:
             self._next = self.num_timesteps + self._every
             self._save()
-
-    def _log_std(self) -> torch.Tensor:
-        log_std: torch.Tensor = self.model.policy.get_parameter("log_std")
-        return log_std
 
 
 def save_gait(policy: Any, normalize: VecNormalize, out: Path, record: dict[str, object]) -> None:
@@ -105,8 +100,8 @@ def train_walker(
 
     Args:
         legs: Legs of the body: 4 is the ant, 6 the spider.
-        out: Where to write the gait, its provenance beside it as JSON.
-        command: What the user typed, for the provenance.
+        out: File of the gait; its provenance goes beside it as JSON.
+        command: Command that the user typed, for the provenance.
         progress: Told after each rollout.
         steps: Control steps to train for; the last rollout is finished.
         seed: Seeds the network and the walks.
@@ -128,15 +123,12 @@ def train_walker(
         policy_kwargs={"net_arch": [128, 128], "activation_fn": nn.Tanh, "log_std_init": np.log(NOISE[0])},
         device="cpu",
     )
-    record = {"command": command, "legs": legs, "seed": seed, "walkers": walkers, "versions": _versions()}
+    packages = ("mujoco", "stable_baselines3", "torch", "numpy")
+    versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    record = {"command": command, "legs": legs, "seed": seed, "walkers": walkers, "versions": versions}
 
     def save() -> None:
         save_gait(model.policy, env, out, {**record, "steps": model.num_timesteps, "of": steps})
 
     model.learn(steps, callback=_Schedule(plane, steps, save, every, progress))
     save()
-
-
-def _versions() -> dict[str, str]:
-    packages = ("mujoco", "stable_baselines3", "torch", "numpy")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}

@@ -1,16 +1,19 @@
-"""The demonstrator in mazes: routes along the corridors' centre lines, and the point's controller on them."""
+"""The demonstrators in mazes: routes along the corridors' centre lines, the point's controller and walkers' gaits."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeFloat, PositiveFloat
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
+from plp_lightning.envs.experts.gait import TRAIN, Gait, gait_path
 from plp_lightning.envs.maze.base import Maze
-from plp_lightning.envs.maze.simulator import PointMaze
+from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 
 
 class Guide:
@@ -25,8 +28,7 @@ class Guide:
     """
 
     def __init__(self, maze: Maze, tasks: Sequence[str], width: float = 0.35) -> None:
-        self._maze = maze
-        self._width = width
+        self._maze, self._width = maze, width
         routes = {name: self._table(name) for name in set(tasks)}
         self._next = np.stack([routes[name] for name in tasks])
 
@@ -65,31 +67,63 @@ class WaypointExpert(Expert):
     Args:
         gain: Action for each metre to the aim.
         damping: Action for each m/s.
-        width: See :class:`Guide`.
+        width: Distance from a corridor's centre line beyond which it heads for the line alone, in cells.
     """
 
-    def __init__(self, gain: float = 10.0, damping: float = 1.0, width: float = 0.35) -> None:
-        self._gain = gain
-        self._damping = damping
-        self._width = width
+    def __init__(
+        self, gain: NonNegativeFloat = 10.0, damping: NonNegativeFloat = 1.0, width: PositiveFloat = 0.35
+    ) -> None:
+        self._gain, self._damping, self._width = gain, damping, width
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
-        """Look up the routes of the tasks.
-
-        Raises:
-            ConfigError: If the simulator is no point's maze.
-        """
         if not isinstance(simulator, PointMaze):
             found = type(simulator).__name__
             raise ConfigError(
                 f"WaypointExpert demonstrates in PointMaze, not in {found}; give the domain its own expert"
             )
-        self._maze = simulator
-        self._guide = Guide(self._maze, tasks, self._width)
+        self._maze, self._guide = simulator, Guide(simulator, tasks, self._width)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Forces ``(n, 2)`` for states ``(n, 4)``."""
         states = self._maze.states_in_maze(observation.state)
         aims = self._maze.frame.centres(self._guide.aims(observation.state, episodes))
         forces = self._gain * (aims - states[:, :2]) - self._damping * states[:, 2:]
         return self._maze.actions_of_domain(np.clip(forces, -1, 1)).astype(np.float32)
+
+
+class WalkerExpert(Expert):
+    """A PPO gait told at every step which way to go; neither it nor its guide remembers anything.
+
+    Args:
+        weights: The gait, a file that ``plp collect --train_expert`` wrote; the one that comes with this package
+            for the body by default.
+        width: Distance from a corridor's centre line beyond which it heads for the line alone, in cells.
+    """
+
+    def __init__(self, weights: Path | None = None, width: PositiveFloat = 0.35) -> None:
+        self._weights, self._width = weights, width
+
+    def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
+        if not isinstance(simulator, WalkerMaze):
+            found = type(simulator).__name__
+            raise ConfigError(
+                f"WalkerExpert demonstrates in WalkerMaze, not in {found}; give the domain its own expert"
+            )
+        path = self._weights or gait_path(simulator.legs)
+        self._maze, self._gait = simulator, Gait.load(path)
+        if self._gait.legs != simulator.legs:
+            raise ConfigError(
+                f"the gait {path} moves {self._gait.legs} legs, this walker has {simulator.legs}; "
+                f"name another file or train one with: {TRAIN}"
+            )
+        self._guide = Guide(self._maze, tasks, self._width)
+
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        directions = self.directions(observation.state, episodes)
+        return self._gait.act(observation.state, directions).astype(np.float32)
+
+    def directions(self, states: np.ndarray, episodes: np.ndarray) -> np.ndarray:
+        """Unit vectors ``(n, 2)`` in the maze's frame, along which to walk from states ``(n, O)``."""
+        aims = self._maze.frame.centres(self._guide.aims(states, episodes))
+        ways = aims - states[:, :2]
+        directions: np.ndarray = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-6)
+        return directions

@@ -1,6 +1,6 @@
 """The MuJoCo model of R2R-Lift: robosuite's Lift with a block on a pedestal, and where its parts are.
 
-Importing this module imports robosuite; :mod:`plp_lightning.envs.lift.simulator` does so at the first reset only.
+Importing it imports robosuite; :mod:`plp_lightning.envs.lift.simulator` does so at the first reset only.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from plp_lightning.envs.lift.tasks import BLOCK_HALF, Robot
 
 PEDESTAL_HALF = (0.018, 0.018, 0.10)
 """Half size of the pedestal, m: narrower than the block, so that the fingers clear it."""
-ARENA = "16M"
-"""Room for contacts in each thread; an episode needs less than a tenth of it."""
+ARENA = "16M"  # room for contacts in each thread; an episode needs less than a tenth of it
 FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
 """Sign with which each finger's actuator follows the gripper command."""
 
@@ -53,15 +52,14 @@ with _quiet():
 class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robosuite is untyped
     """robosuite's Lift with a block of one size that stands on a movable pedestal.
 
-    The pedestal is a mocap body: its height is state, not model, so one model serves all tasks. It sinks
-    into the table unhindered, since MuJoCo never collides two static bodies.
+    The pedestal is a mocap body: its height is state, not model, so one model serves all tasks. It sinks into the
+    table unhindered, since MuJoCo never collides two static bodies.
     """
 
     def _load_model(self) -> None:
         super()._load_model()
         pedestal = ET.SubElement(self.model.worldbody, "body", name="pedestal", mocap="true", pos="0 0 0.7")
-        size = " ".join(map(str, PEDESTAL_HALF))
-        friction = " ".join(map(str, self.table_friction))
+        size, friction = (" ".join(map(str, numbers)) for numbers in (PEDESTAL_HALF, self.table_friction))
         ET.SubElement(pedestal, "geom", name="pedestal_g", type="box", size=size, friction=friction, group="1")
         geoms = {geom.get("name"): geom for geom in self.model.root.iter("geom")}
         for name in ("cube_g0", "cube_g0_vis"):
@@ -73,12 +71,7 @@ class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robos
 
 
 def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
-    """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer.
-
-    Args:
-        robot: Robot's name in robosuite.
-        joint_noise: Standard deviation of the initial joint angles, rad.
-    """
+    """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer; noise is in rad."""
     with _quiet():
         controller = load_composite_controller_config(controller="BASIC", robot=robot)
         arm = controller["body_parts"]["right"]
@@ -102,12 +95,9 @@ class LiftModel:
 
     model: mujoco.MjModel
     arm: Arm
-    rest_pose: np.ndarray
-    """Arm joints ``(n,)`` in robosuite's initial pose, rad."""
+    rest_pose: np.ndarray  # arm joints (n,) in robosuite's initial pose, rad; open_fingers (g,) likewise, m or rad
     open_fingers: np.ndarray
-    """Finger joints ``(g,)`` in robosuite's initial pose, m or rad."""
-    pedestal: int
-    """Row of the pedestal in mocap_pos."""
+    pedestal: int  # row of the pedestal in mocap_pos
 
     @classmethod
     @cache
@@ -138,12 +128,11 @@ class LiftModel:
 def _bare_model(env: Any) -> mujoco.MjModel:
     """The environment's model without what only a renderer or a sensor needs; its motion is the same, bit for bit."""
     root = ET.fromstring(env.edit_model_xml(env.model.get_xml()))
-    compiler, size = root.find("compiler"), root.find("size")
-    assert compiler is not None
-    compiler.set("discardvisual", "true")
-    if size is not None:  # robosuite asks for room for thousands of contacts: over a gigabyte in each thread
+    for size in root.findall("size"):  # robosuite asks for room for thousands of contacts: a gigabyte in each thread
         root.remove(size)
     ET.SubElement(root, "size", memory=ARENA)
+    for compiler in root.findall("compiler"):
+        compiler.set("discardvisual", "true")
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     return model

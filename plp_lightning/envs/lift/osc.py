@@ -1,8 +1,15 @@
 """Operational-space control without Python: a control step of an episode, physics and all, is one compiled call.
 
-The control law is robosuite 1.5's position controller (https://robosuite.ai/docs/modules/controllers.html),
-after O. Khatib, "A unified approach for motion and force control of robot manipulators: the operational
-space formulation", IEEE J. Robotics and Automation 3(1), 1987, with force and torque decoupled.
+The control law is robosuite 1.5's position controller (https://robosuite.ai/docs/modules/controllers.html), after
+O. Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation",
+IEEE J. Robotics and Automation 3(1), 1987. With M the inertia of the arm, J the Jacobian of the hand, F the wanted
+acceleration of the hand, u that of the joints towards their posture, and g the bias force, a step computes
+
+1. ``L = (J M^-1 J')^-1``, the inertia that the hand feels, and ``Lv``, ``Lw`` of the linear and angular halves of J;
+2. ``F = kp (x_goal - x) - kd J q'``, for the position and, likewise, for the orientation;
+3. ``tau = J' [Lv F_v; Lw F_w]``, force and torque decoupled as robosuite does;
+4. ``tau += (1 - J' L J M^-1) M u``, the posture in the null space, where the hand does not feel it;
+5. ``tau += g``, gravity and Coriolis forces.
 """
 
 from __future__ import annotations
@@ -23,28 +30,19 @@ from plp_lightning.envs.native import (
     save,
 )
 
-SUBSTEPS = 25
-"""Physics steps in one control step: 20 Hz over 2 ms."""
-REACH = 0.05
-"""Way of the goal for an action of 1, m."""
+SUBSTEPS = 25  # physics steps in one control step: 20 Hz over 2 ms
+REACH = 0.05  # way of the goal for an action of 1, m
 STIFFNESS = 150.0
 DAMPING = 2.0 * STIFFNESS**0.5
 REST_STIFFNESS = 10.0
 REST_DAMPING = 2.0 * REST_STIFFNESS**0.5
-GRIPPER_SPEED = 0.2
-"""Change of the gripper's command in one control step; it runs from -1, open, to 1, closed."""
-DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Orientation that the hand keeps: fingers down."""
+GRIPPER_SPEED = 0.2  # change of the gripper's command in one control step; it runs from -1, open, to 1, closed
+DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # orientation that the hand keeps: fingers down
 
 
 @inner
 def solve(matrix: np.ndarray, right: np.ndarray) -> None:
-    """Solve ``matrix @ x = right`` in place by Cholesky's method.
-
-    Args:
-        matrix: Symmetric positive definite ``(n, n)``; its lower triangle is overwritten by the factor.
-        right: ``(n, k)``, overwritten by the solution.
-    """
+    """Solve ``matrix @ x = right`` ``(n, k)`` in place, by Cholesky's method: the matrix is positive definite."""
     size, columns = right.shape
     for i in range(size):
         for j in range(i + 1):
@@ -54,11 +52,11 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> None:
             # At a singular pose rounding may leave a pivot below zero.
             matrix[i, j] = np.sqrt(max(rest, 1e-15)) if i == j else rest / matrix[j, j]
     for c in range(columns):
-        for i in range(size):
+        for i in range(size):  # forwards: C y = right, with the factor C
             for k in range(i):
                 right[i, c] -= matrix[i, k] * right[k, c]
             right[i, c] /= matrix[i, i]
-        for i in range(size - 1, -1, -1):
+        for i in range(size - 1, -1, -1):  # backwards: C' x = y
             for k in range(i + 1, size):
                 right[i, c] -= matrix[k, i] * right[k, c]
             right[i, c] /= matrix[i, i]
@@ -66,30 +64,24 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> None:
 
 @inner
 def wrench(arm: Arm, work: Workspace, goal: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Spring and damper that pull the hand to its goal: force above torque, ``(6, 1)``, for unit inertia.
-
-    Args:
-        arm: The robot.
-        work: Its state.
-        goal: Position ``(3,)`` of the end effector, m.
-        velocity: Of the end effector, linear above angular ``(6, 1)``.
-    """
+    """Spring and damper ``(6, 1)``, force above torque, from a hand with velocity ``(6, 1)`` to its goal ``(3,)``."""
     pull = np.zeros((6, 1))
     rotation = work.site_rotation[arm.site].reshape(3, 3)
     for axis in range(3):
-        pull[axis, 0] = goal[axis] - work.site_pos[arm.site, axis]
+        pull[axis, 0] = goal[axis] - work.site_pos[arm.site, axis]  # x_goal - x
         a, b = (axis + 1) % 3, (axis + 2) % 3
-        for column in range(3):  # half the sum of cross products of the actual and the wanted axes
+        # Orientation error: 1/2 sum_c r_c x d_c, cross products of the actual axes r and the wanted axes d.
+        for column in range(3):
             turn = rotation[a, column] * DOWN[b, column] - rotation[b, column] * DOWN[a, column]
             pull[3 + axis, 0] += 0.5 * turn
-    for axis in range(6):
-        pull[axis, 0] = STIFFNESS * pull[axis, 0] - DAMPING * velocity[axis, 0]
+    pull *= STIFFNESS
+    pull -= DAMPING * velocity  # F = kp error - kd J q', equation 2
     return pull
 
 
 @inner
 def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Matrix product; for matrices this small a loop is faster than a call of BLAS."""
+    """Product ``(n, k)`` of ``(n, m)`` and ``(m, k)``; for matrices this small a loop is faster than a call of BLAS."""
     out = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
         for k in range(left.shape[1]):
@@ -100,31 +92,16 @@ def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 @inner
 def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Joint torques ``(n, 1)`` in N m, not yet clipped: task, posture and gravity.
-
-    Args:
-        arm: The robot.
-        work: Its state, after mj_step1.
-        goal: Position ``(3,)`` of the end effector, m.
-        rest: Posture ``(n,)``, rad.
-    """
+    """Joint torques ``(n, 1)`` in N m, not yet clipped, for a goal ``(3,)`` in m and a posture ``(n,)`` in rad."""
+    # M of the whole scene from MuJoCo's sparse form, and J of the hand; both are then cut down to the arm's joints.
     mj_full_m(work.desk.model, work.mass.ctypes.data, work.inertia.ctypes.data)
     linear, angular = work.jacobian[:3], work.jacobian[3:]
     mj_jac_site(work.desk.model, work.desk.data, linear.ctypes.data, angular.ctypes.data, arm.site)
-    size = len(arm.dof)
-    mass, jacobian = np.empty((size, size)), np.empty((6, size))
-    speed, posture = np.empty((size, 1)), np.empty((size, 1))
-    for i in range(size):
-        dof = arm.dof[i]
-        speed[i, 0] = work.qvel[dof]
-        posture[i, 0] = REST_STIFFNESS * (rest[i] - work.qpos[arm.qpos[i]]) - REST_DAMPING * speed[i, 0]
-        for j in range(size):
-            mass[i, j] = work.mass[dof, arm.dof[j]]
-        for axis in range(6):
-            jacobian[axis, i] = work.jacobian[axis, dof]
+    mass, jacobian = work.mass[arm.dof][:, arm.dof], work.jacobian[:, arm.dof]
+    speed, away = work.qvel[arm.dof].reshape(-1, 1), (rest - work.qpos[arm.qpos]).reshape(-1, 1)
+    posture = REST_STIFFNESS * away - REST_DAMPING * speed  # u = kp (q_rest - q) - kd q'
     total = combine(mass, jacobian, wrench(arm, work, goal, product(jacobian, speed)), posture)
-    for i in range(size):
-        total[i, 0] += work.bias[arm.dof[i]]
+    total[:, 0] += work.bias[arm.dof]  # tau += g, equation 5
     return total
 
 
@@ -132,8 +109,8 @@ def torques(arm: Arm, work: Workspace, goal: np.ndarray, rest: np.ndarray) -> np
 def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: np.ndarray) -> np.ndarray:
     """Torques ``(n, 1)`` of the task, and of the posture where the hand does not feel it.
 
-    With the task inertia ``L = (J M^-1 J')^-1`` the posture torque ``N' M u`` of the null space
-    ``N = 1 - M^-1 J' L J`` is ``M u - J' L J u``, so no inverse of M or L is formed.
+    Equations 3 and 4 together: the posture torque ``N' M u`` of the null space ``N = 1 - M^-1 J' L J`` is
+    ``M u - J' L J u``, so that both go through ``J'`` at once and no inverse of M or L is formed.
 
     Args:
         mass: Inertia M of the arm ``(n, n)``; overwritten.
@@ -141,22 +118,22 @@ def combine(mass: np.ndarray, jacobian: np.ndarray, pull: np.ndarray, posture: n
         pull: Wanted acceleration of the hand ``(6, 1)``; overwritten.
         posture: Wanted acceleration u of the joints ``(n, 1)``.
     """
-    held = product(mass, posture)
+    held = product(mass, posture)  # M u, while M is whole
     flexible = jacobian.T.copy()
-    solve(mass, flexible)
-    mobility = product(jacobian, flexible)
-    unwanted = product(jacobian, posture)
-    solve(mobility[:3, :3].copy(), pull[:3])
-    solve(mobility[3:, 3:].copy(), pull[3:])
-    solve(mobility, unwanted)
+    solve(mass, flexible)  # M^-1 J'
+    mobility = product(jacobian, flexible)  # L^-1 = J M^-1 J', equation 1
+    unwanted = product(jacobian, posture)  # J u, how the hand would feel the posture
+    solve(mobility[:3, :3].copy(), pull[:3])  # Lv F_v, from the diagonal blocks of L^-1
+    solve(mobility[3:, 3:].copy(), pull[3:])  # Lw F_w
+    solve(mobility, unwanted)  # L J u
     pull -= unwanted
-    held += product(jacobian.T, pull)
+    held += product(jacobian.T, pull)  # M u + J' ([Lv F_v; Lw F_w] - L J u)
     return held
 
 
 @inner
 def actuate(arm: Arm, work: Workspace, torque: np.ndarray, grip: float) -> None:
-    """Write the controls of the arm ``torque (n, 1)``, clipped, and of the fingers, ``grip`` in [-1, 1]."""
+    """Write the controls: torques ``(n, 1)`` of the arm, clipped, and of the fingers, ``grip`` in [-1, 1]."""
     for i in range(len(arm.actuators)):
         low, high = arm.limits[i]
         work.desk.ctrl[arm.actuators[i]] = min(max(torque[i, 0], low), high)
@@ -167,22 +144,17 @@ def actuate(arm: Arm, work: Workspace, torque: np.ndarray, grip: float) -> None:
 
 @inner
 def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, rest: np.ndarray) -> bool:
-    """Hold one action for 25 physics steps; False as soon as the simulation diverges.
+    """Hold one action ``(4,)``, the hand's way in units of 5 cm, for 25 physics steps; False if they diverge.
 
-    Args:
-        arm: The robot.
-        work: Its state, advanced in place.
-        action: ``(4,)``: way of the hand in units of 5 cm, clipped to [-1, 1], and the gripper.
-        grip: Command of the gripper in [-1, 1].
-        rest: Posture ``(n,)``, rad.
+    The gripper follows ``grip`` in [-1, 1], and the arm is drawn to the posture ``rest`` ``(n,)``, rad.
     """
     desk, goal = work.desk, np.empty(3)
     for substep in range(SUBSTEPS):
-        # What has no place or speed must not reach the controller, nor MuJoCo's search for contacts.
+        # States without a place or speed must not reach the controller, nor MuJoCo's search for contacts.
         if not (sane(work.qpos) and sane(work.qvel)):
             return False
         mj_step1(desk.model, desk.data)
-        if substep == 0:
+        if substep == 0:  # the goal stands still for the whole control step
             for axis in range(3):
                 goal[axis] = work.site_pos[arm.site, axis] + REACH * min(max(action[axis], -1.0), 1.0)
         actuate(arm, work, torques(arm, work, goal, rest), grip)
@@ -192,15 +164,14 @@ def control_step(arm: Arm, work: Workspace, action: np.ndarray, grip: float, res
 
 @inner
 def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
-    """Write the observation into ``row (O,)``: arm, hand, fingers, as robosuite's observables name them."""
+    """Write the observation into a row ``(O,)``: arm, hand, fingers, as robosuite's observables name them."""
     arm_size, finger_size = len(arm.qpos), len(arm.finger_qpos)
     at = 3 * arm_size
     for i in range(arm_size):
         angle = work.qpos[arm.qpos[i]]
         row[i], row[arm_size + i] = np.cos(angle), np.sin(angle)
         row[2 * arm_size + i] = work.qvel[arm.dof[i]]
-    for i in range(3):
-        row[at + i] = work.site_pos[arm.site, i]
+    row[at : at + 3] = work.site_pos[arm.site]
     for i in range(4):  # MuJoCo puts the scalar first, robosuite last
         row[at + 3 + i] = work.body_quaternion[arm.hand, (i + 1) % 4]
     for i in range(finger_size):
@@ -210,7 +181,7 @@ def observe(arm: Arm, work: Workspace, row: np.ndarray) -> None:
 
 @entry
 def begin_episodes(arm: Arm, work: Workspace, episodes: Episodes, start: int, stop: int) -> None:
-    """Work out what follows from the first states of the episodes from ``start`` to ``stop``, and observe them."""
+    """Compute kinematics and forces of states ``(E, S)`` from row ``start`` to ``stop``, and observe them."""
     for row in range(start, stop):
         load(work.desk, episodes.state[row])
         mj_forward(work.desk.model, work.desk.data)
@@ -228,7 +199,7 @@ def step_episodes(
         arm: The robot.
         work: The calling thread's own room.
         episodes: All episodes, updated in place.
-        rows: Which, ``(m,)``.
+        rows: Rows of those to advance, ``(m,)``.
         actions: ``(m, 4)`` float64, clipped here to [-1, 1].
         valid: ``(m,)``: whether the action is finite; False afterwards where the simulation diverged, too.
     """

@@ -1,8 +1,7 @@
 """R2R-Lift: a Sawyer or a UR5e lifts a block that it does not see from a place that the task names.
 
-The block's place is one of 27: a grid of three by three positions on the table and three heights, held by
-a pedestal. The robots are robosuite's (https://robosuite.ai), and so is the physics of every step; only
-the Python between the steps is gone (see :mod:`plp_lightning.envs.lift.osc`).
+The robots are robosuite's (https://robosuite.ai), and so is the physics of every step; only the Python between the
+steps is gone (see :mod:`plp_lightning.envs.lift.osc`).
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
@@ -22,8 +22,7 @@ from plp_lightning.envs.lift.tasks import TASKS, Robot, block_place
 if TYPE_CHECKING:
     from plp_lightning.envs.lift.physics import LiftPhysics
 
-JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}
-"""Joints of the arm and of the fingers."""
+JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}  # joints of the arm and of the fingers
 
 
 class Lift(Simulator):
@@ -39,32 +38,34 @@ class Lift(Simulator):
         threads: Threads that step physics; 0 means one for each core.
 
     Raises:
-        ConfigError: If an argument is out of its range.
+        ConfigError: If there is no such robot.
     """
 
     tasks = TASKS
 
-    def __init__(self, robot: Robot, joint_noise: float = 0.05, horizon: int = 200, threads: int = 0) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        joint_noise: NonNegativeFloat = 0.05,
+        horizon: PositiveInt = 200,
+        threads: NonNegativeInt = 0,
+    ) -> None:
         if robot not in get_args(Robot):
             raise ConfigError(f"robot is {robot!r}; expected one of: {', '.join(get_args(Robot))}")
-        if not 0.0 <= joint_noise < np.inf:
-            raise ConfigError(f"joint_noise is {joint_noise}; expected a standard deviation in rad, 0 or more")
-        if horizon < 1 or threads < 0:
-            raise ConfigError(f"horizon is {horizon}, threads is {threads}; expected at least 1 and at least 0")
         self.robot, self.joint_noise, self.horizon, self.threads = robot, joint_noise, horizon, threads
 
     def spec(self, name: str) -> DomainSpec:
-        """32 numbers of state for Sawyer, 37 for UR5e, named and ordered as robosuite's ``robot0_<key>``."""
+        """States ``(32,)`` of Sawyer or ``(37,)`` of UR5e, named and ordered as robosuite's ``robot0_<key>``."""
         arm, fingers = JOINTS[self.robot]
-        finger_unit = "m" if self.robot == "Sawyer" else "rad"
+        unit = "m" if self.robot == "Sawyer" else "rad"
         sizes = (
             ("joint_pos_cos", arm, ""),
             ("joint_pos_sin", arm, ""),
             ("joint_vel", arm, "rad/s"),
             ("eef_pos", 3, "m"),
             ("eef_quat", 4, ""),
-            ("gripper_qpos", fingers, finger_unit),
-            ("gripper_qvel", fingers, f"{finger_unit}/s"),
+            ("gripper_qpos", fingers, unit),
+            ("gripper_qvel", fingers, f"{unit}/s"),
         )
         keys = tuple(ObservationKey(key, (size,), unit=unit) for key, size, unit in sizes)
         env = f"robosuite Lift, {self.robot}, OSC position, fingers down, joint noise {self.joint_noise} rad"
@@ -72,22 +73,17 @@ class Lift(Simulator):
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the end effector in the world, ``(N, 3)``, m: both robots stand at the same table."""
-        position: np.ndarray = state[:, self.spec("").columns(["eef_pos"])]
-        return position
+        return state[:, self.spec("").columns(["eef_pos"])]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin E episodes; the first call builds the model.
-
-        Raises:
-            ConfigError: If a task is unknown.
-        """
         blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
         joints = JOINTS[self.robot][0]
-        noise = np.array([self._noise(task, seed, joints) for task, seed in zip(tasks, seeds, strict=True)])
+        # Robot and task join the seed, so that equal seeds do not align the domains' initial poses.
+        streams = [start_generator(s, f"{self.robot} {task}") for task, s in zip(tasks, seeds, strict=True)]
+        noise = np.array([self.joint_noise * stream.standard_normal(joints) for stream in streams])
         return Observation(self._physics.reset(blocks, noise.reshape(-1, joints)))
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
         physics = self._physics
         valid = physics.step(actions, episodes)
         return Step(Observation(physics.episodes.observation[episodes]), physics.lifted(episodes) & valid, ~valid)
@@ -97,8 +93,3 @@ class Lift(Simulator):
         from plp_lightning.envs.lift.physics import LiftPhysics
 
         return LiftPhysics(self.robot, self.threads)
-
-    def _noise(self, task: str, seed: int, joints: int) -> np.ndarray:
-        # Robot and task join the seed, so that equal seeds do not align the domains' initial poses.
-        stream = start_generator(seed, f"{self.robot} {task}")
-        return self.joint_noise * stream.standard_normal(joints)

@@ -13,27 +13,18 @@ from plp_lightning.envs.native import Desk
 class Arm(NamedTuple):
     """Places in its model of the parts of a robot with n arm joints, g finger joints and f finger actuators."""
 
-    site: int
-    """Site between the fingers: the position of the end effector."""
-    hand: int
-    """Body whose orientation is observed."""
-    block: int
-    """Start of the block's free joint in qpos."""
-    qpos: np.ndarray
-    """``(n,)``, as are dof and actuators."""
+    site: int  # site between the fingers: the position of the end effector
+    hand: int  # body whose orientation is observed
+    block: int  # start of the block's free joint in qpos
+    qpos: np.ndarray  # (n,), as are dof and actuators
     dof: np.ndarray
     actuators: np.ndarray
-    limits: np.ndarray
-    """``(n, 2)`` least and greatest torque, N m."""
-    finger_qpos: np.ndarray
-    """``(g,)``, as is finger_dof."""
+    limits: np.ndarray  # (n, 2) least and greatest torque, N m
+    finger_qpos: np.ndarray  # (g,), as is finger_dof
     finger_dof: np.ndarray
-    finger_actuators: np.ndarray
-    """``(f,)``."""
+    finger_actuators: np.ndarray  # (f,), as are the signs with which they follow the gripper's command
     finger_signs: np.ndarray
-    """``(f,)``: how each actuator follows the gripper's command."""
-    finger_limits: np.ndarray
-    """``(f, 2)`` least and greatest control."""
+    finger_limits: np.ndarray  # (f, 2) least and greatest control
 
 
 class Workspace(NamedTuple):
@@ -47,14 +38,12 @@ class Workspace(NamedTuple):
     site_pos: np.ndarray
     site_rotation: np.ndarray
     body_quaternion: np.ndarray
-    jacobian: np.ndarray
-    """``(6, nv)``: translation above rotation."""
-    mass: np.ndarray
-    """``(nv, nv)``."""
+    jacobian: np.ndarray  # (6, nv): translation above rotation
+    mass: np.ndarray  # (nv, nv)
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
-        """Views of ``data``, valid as long as it lives."""
+        """Views of ``data``, and room for J ``(6, nv)`` and M ``(nv, nv)``, valid as long as it lives."""
         return cls(
             Desk.of(model, data), data.qpos, data.qvel, data.qfrc_bias, data.qM, data.site_xpos,
             data.site_xmat, data.xquat, np.zeros((6, model.nv)), np.zeros((model.nv, model.nv)),
@@ -64,13 +53,8 @@ class Workspace(NamedTuple):
 class Episodes(NamedTuple):
     """All that is remembered of E episodes between two control steps."""
 
-    state: np.ndarray
-    """``(E, S)``: the rows of the engine."""
-    grip: np.ndarray
-    """``(E,)`` command of the gripper, ramped over ten control steps: hidden from the policy."""
-    rest: np.ndarray
-    """``(E, n)`` initial arm joints, to which motion that the hand does not feel is drawn, rad."""
-    observation: np.ndarray
-    """``(E, O)`` float32: what was last seen."""
-    block_z: np.ndarray
-    """``(E,)`` height of the block's centre, m."""
+    state: np.ndarray  # (E, S): the rows of the engine
+    grip: np.ndarray  # (E,) command of the gripper, ramped over ten control steps: hidden from the policy
+    rest: np.ndarray  # (E, n) initial arm joints, to which motion that the hand does not feel is drawn, rad
+    observation: np.ndarray  # (E, O) float32: what was last seen
+    block_z: np.ndarray  # (E,) height of the block's centre, m

@@ -15,18 +15,13 @@ GRID_X = (-0.08, 0.0, 0.08)
 GRID_Y = (-0.12, 0.0, 0.12)
 HEIGHTS = (0.0, 0.05, 0.10)
 TABLE_Z = 0.8
-BLOCK_HALF = 0.02
-"""Half the edge of the block, m. robosuite draws it anew for every model; both robots need the same."""
+BLOCK_HALF = 0.02  # half the edge of the block, m. robosuite draws it anew for every model; both robots need the same
 PLACES = {f"x{i}y{j}h{k}": (i, j, k) for i, j, k in product(range(3), repeat=3)}
 """Name of each task and the place of its block on the grid: column, row, height."""
 
 
 def block_place(task: str) -> np.ndarray:
-    """Centre ``(3,)`` of the block of a task at rest, in the world, m.
-
-    Raises:
-        ConfigError: If there is no such task.
-    """
+    """Centre ``(3,)`` of the block of a task at rest, in the world, m."""
     TASKS.check([task])
     i, j, k = PLACES[task]
     return np.array([GRID_X[i], GRID_Y[j], TABLE_Z + HEIGHTS[k] + BLOCK_HALF])

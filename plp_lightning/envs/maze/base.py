@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
@@ -26,46 +27,31 @@ FrameName = Literal["d4rl", "gymnasium"]
 
 
 class Maze(Simulator):
-    """A body in a maze whose tasks are pairs of a start zone and a goal cell; goals are never observed.
+    """A body in a maze whose tasks are pairs of a start zone and a goal cell; goals are never observed."""
 
-    Args:
-        layout: Which maze.
-        frame: ``d4rl``: x grows with the rows of the maze for the point, with its columns for walkers, as in the
-            paper's data; ``gymnasium``: Gymnasium-Robotics' frame, origin in the middle, the same for all bodies.
-        radius: Distance from the goal that counts as success, in cells.
-        jitter: Largest offset of a start from its cell's centre along each axis, in cells.
-        horizon: Control steps of an episode; None takes the default of the body and the layout.
-        threads: Threads that step physics; 0 means one for each core.
-    """
-
-    scale: ClassVar[float]
-    """Side of a cell, in m."""
-    frame_skip: ClassVar[int]
-    """Physics steps of 10 ms in one control step."""
-    _wall_height: ClassVar[float]
-    """Height of the walls, in m."""
-    _forward: ClassVar[bool]
-    """True if Gymnasium-Robotics computes forces before each control step."""
-    horizons: ClassVar[dict[str, int]]
-    """Default horizon of each layout."""
+    scale: ClassVar[float]  # side of a cell, m
+    frame_skip: ClassVar[int]  # physics steps of 10 ms in one control step
+    horizons: ClassVar[dict[str, int]]  # default horizon of each layout
+    _wall_height: ClassVar[float]  # m
+    _forward: ClassVar[bool]  # True if Gymnasium-Robotics computes forces before each control step
+    _body: str
+    _action_size: int
 
     def __init__(
         self,
         layout: LayoutName,
         frame: FrameName = "d4rl",
-        radius: float = 0.5,
-        jitter: float = 0.25,
-        horizon: int | None = None,
-        threads: int = 0,
+        radius: NonNegativeFloat = 0.5,
+        jitter: NonNegativeFloat = 0.25,
+        horizon: PositiveInt | None = None,
+        threads: NonNegativeInt = 0,
     ) -> None:
         if layout not in LAYOUTS:
             raise ConfigError(f"unknown maze layout {layout!r}; expected one of: {', '.join(LAYOUTS)}")
         self.layout = LAYOUTS[layout]
         self.frame = Frame.gymnasium(self.layout.shape, self.scale) if frame == "gymnasium" else self._d4rl_frame()
-        self.horizon = self.horizons[layout] if horizon is None else horizon
-        self.threads = threads
-        self._radius = radius * self.scale
-        self._jitter = jitter
+        self.horizon, self.threads = horizon or self.horizons[layout], threads
+        self._radius, self._jitter = radius * self.scale, jitter
         self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
 
     @property
@@ -74,22 +60,16 @@ class Maze(Simulator):
         return self.layout.tasks
 
     def spec(self, name: str) -> DomainSpec:
-        """Observation and action space: positions in m, velocities in m/s or rad/s, in the maze's frame."""
         return DomainSpec(name, self._keys(), self._action_size, 100 / self.frame_skip, self._description)
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin episodes at rest, at a random place in the start zone of their tasks.
-
-        Raises:
-            ConfigError: If this maze has no such task.
-        """
         chosen = [self.layout.task(name) for name in tasks]
         starts = np.array([self._start(self.layout.starts(t), s) for t, s in zip(chosen, seeds, strict=True)])
         self._goals = self.frame.centres(np.array([task.goal for task in chosen]).reshape(-1, 2))
         self._pending = np.zeros((len(chosen), *self.layout.shape), dtype=bool)
-        for pending, task in zip(self._pending, chosen, strict=True):
-            for cell in self.layout.via(task):
-                pending[cell] = True
+        for episode, task in enumerate(chosen):
+            for row, column in self.layout.via(task):
+                self._pending[episode, row, column] = True
         everyone, physics = np.arange(len(chosen)), self._physics
         physics.begin(len(chosen))
         physics.states[:, physics.qpos][:, :2] = self.frame.centres(starts.reshape(-1, 2))
@@ -98,7 +78,6 @@ class Maze(Simulator):
         return self._observe(everyone)
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, A)``; an episode whose physics diverged is invalid and keeps its last valid state."""
         controls = self.actions_in_maze(np.clip(actions.astype(np.float64), -1, 1))
         self._before_step(episodes)
         valid = self._physics.hold(episodes, controls, self.frame_skip, self._forward)
@@ -126,31 +105,18 @@ class Maze(Simulator):
         return self.frame.cells(self.states_in_maze(state)[:, :2])
 
     def floor_plan(self) -> FloorPlan:
-        """The drawing of the maze in rows and columns, so that the same maze looks the same for all bodies."""
+        """Walls ``(W, 2)`` in rows and columns, so that the same maze looks the same for all bodies."""
         goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.by_name.items()}
         return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
 
-    @property
     @abstractmethod
-    def _body(self) -> str:
-        """Name of the body in the maze."""
-
-    @property
-    @abstractmethod
-    def _action_size(self) -> int:
-        """Number of motors."""
+    def _keys(self) -> tuple[ObservationKey, ...]: ...
 
     @abstractmethod
-    def _keys(self) -> tuple[ObservationKey, ...]:
-        """Parts of the state."""
+    def _mjcf(self, walls: Sequence[Box]) -> str: ...
 
     @abstractmethod
-    def _mjcf(self, walls: Sequence[Box]) -> str:
-        """The body between walls."""
-
-    @abstractmethod
-    def _d4rl_frame(self) -> Frame:
-        """D4RL's frame for this body."""
+    def _d4rl_frame(self) -> Frame: ...
 
     @cached_property
     def _physics(self) -> MazePhysics:
@@ -166,15 +132,14 @@ class Maze(Simulator):
         return place
 
     def _before_step(self, rows: np.ndarray) -> None:
-        """Change the physical states of ``rows (n,)`` before a control step."""
+        """Change the physical states of rows ``(n,)`` before a control step."""
 
     def _observe(self, rows: np.ndarray) -> Observation[np.ndarray]:
         physical = self._physics.states[rows, self._physics.physical]
         return Observation(self.states_of_domain(physical).astype(np.float32))
 
     def _positions(self, rows: np.ndarray) -> np.ndarray:
-        positions: np.ndarray = self._physics.states[rows, self._physics.qpos][:, :2]
-        return positions
+        return self._physics.states[rows, self._physics.qpos][:, :2]
 
     def _visit(self, episodes: np.ndarray) -> None:
         rows, columns = self.layout.nearest(self.frame.cells(self._positions(episodes))).T

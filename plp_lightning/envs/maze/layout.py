@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,8 +14,7 @@ from plp_lightning.envs.tasks import Tasks
 if TYPE_CHECKING:
     import networkx as nx
 
-Cell = tuple[int, int]
-"""Row and column, from the upper left corner of the drawing."""
+Cell = tuple[int, int]  # row and column, from the upper left corner of the drawing
 
 
 class MazeTask(NamedTuple):
@@ -33,26 +32,21 @@ class Layout:
 
     A task is a pair of a start zone and a goal cell, named ``s<zone>_g_<row>_<column>``, or a detour,
     ``detour_<row>_<column>``: its goal counts only by the long way round.
-
-    Args:
-        rows: The drawing.
-        zones: Disjoint start zones that cover all free cells.
-        detours: Detour tasks, one for a goal cell at most.
     """
 
-    rows: tuple[str, ...]
-    zones: tuple[tuple[Cell, ...], ...]
-    detours: tuple[MazeTask, ...] = field(default=())
+    rows: tuple[str, ...]  # the drawing
+    zones: tuple[tuple[Cell, ...], ...]  # disjoint start zones that cover all free cells
+    detours: tuple[MazeTask, ...] = ()  # one for a goal cell at most
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
         """Free cells, row by row."""
-        return tuple((i, j) for i, row in enumerate(self.rows) for j, mark in enumerate(row) if mark != "#")
+        return _cells(self.rows, walls=False)
 
     @cached_property
     def walls(self) -> tuple[Cell, ...]:
         """Wall cells, row by row."""
-        return tuple((i, j) for i, row in enumerate(self.rows) for j, mark in enumerate(row) if mark == "#")
+        return _cells(self.rows, walls=True)
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -68,9 +62,7 @@ class Layout:
     def by_name(self) -> Mapping[str, MazeTask]:
         """All tasks by name: for each goal those of its start zones, then the detours."""
         zones = range(len(self.zones))
-        tasks = {
-            f"s{zone}_g_{row}_{column}": MazeTask(zone, (row, column)) for row, column in self.cells for zone in zones
-        }
+        tasks = {f"s{zone}_g_{i}_{j}": MazeTask(zone, (i, j)) for i, j in self.cells for zone in zones}
         return tasks | {"detour_{}_{}".format(*detour.goal): detour for detour in self.detours}
 
     @cached_property
@@ -88,11 +80,7 @@ class Layout:
         return Tasks("this maze", tuple(self.by_name), targets, self._is_proxy)
 
     def task(self, name: str) -> MazeTask:
-        """The task of that name.
-
-        Raises:
-            ConfigError: If this maze has no such task.
-        """
+        """The task of that name; a ConfigError if this maze has none."""
         self.tasks.check([name])
         return self.by_name[name]
 
@@ -102,9 +90,12 @@ class Layout:
 
     def route(self, task: MazeTask) -> dict[Cell, Cell]:
         """The next cell towards the goal from every free cell; the goal leads to itself."""
-        way = _next_cells(self._graph, task.goal, task.avoid)
+        import networkx as nx  # costs a tenth of a second, and listing tasks needs no routes
+
+        allowed = self._graph.subgraph([cell for cell in self.cells if cell != task.avoid])
+        way = {task.goal: task.goal, **dict(nx.bfs_predecessors(allowed, task.goal))}
         if task.avoid:
-            # Whoever strays into the forbidden cell turns back to the side that is farther from the goal.
+            # A walker that strays into the forbidden cell turns back to the side that is farther from the goal.
             way[task.avoid] = max(self._graph[task.avoid], key=lambda cell: len(_path(way, cell)))
         return way
 
@@ -113,30 +104,27 @@ class Layout:
         if not task.avoid:
             return frozenset()
         long, short = self.route(task), self.route(task._replace(avoid=None))
-        on_all = [set(_path(long, start)) for start in self.starts(task)]
-        return frozenset(set.intersection(*on_all).difference(*(_path(short, start) for start in self.starts(task))))
+        starts = self.starts(task)
+        on_all = set.intersection(*(set(_path(long, start)) for start in starts))
+        return frozenset(on_all.difference(*(_path(short, start) for start in starts)))
 
     def _is_proxy(self, task: str, target: str) -> bool:
         return not self.by_name[task].avoid and self.by_name[task].goal != self.by_name[target].goal
 
     @cached_property
     def _graph(self) -> nx.Graph:
-        import networkx as nx  # costs a tenth of a second, and listing tasks needs no graph
+        import networkx as nx
 
         graph = nx.Graph()
         graph.add_nodes_from(self.cells)
-        neighbours = [
-            (cell, other) for cell in self.cells for other in ((cell[0] + 1, cell[1]), (cell[0], cell[1] + 1))
-        ]
-        graph.add_edges_from((cell, other) for cell, other in neighbours if other in graph)
+        graph.add_edges_from(
+            ((i, j), other) for i, j in self.cells for other in ((i + 1, j), (i, j + 1)) if other in graph
+        )
         return graph
 
 
-def _next_cells(graph: nx.Graph, goal: Cell, avoid: Cell | None) -> dict[Cell, Cell]:
-    import networkx as nx
-
-    allowed = graph.subgraph([cell for cell in graph if cell != avoid])
-    return {goal: goal, **dict(nx.bfs_predecessors(allowed, goal))}
+def _cells(rows: tuple[str, ...], walls: bool) -> tuple[Cell, ...]:
+    return tuple((i, j) for i, row in enumerate(rows) for j, mark in enumerate(row) if (mark == "#") == walls)
 
 
 def _path(way: Mapping[Cell, Cell], start: Cell) -> list[Cell]:
@@ -148,17 +136,11 @@ def _path(way: Mapping[Cell, Cell], start: Cell) -> list[Cell]:
 
 @dataclass(frozen=True)
 class Frame:
-    """Places of cells in a simulator's plane.
+    """Places of cells in a simulator's plane, in m."""
 
-    Args:
-        origin: Centre of cell (0, 0), in m.
-        down: From a cell's centre to that of the next row, in m.
-        right: From a cell's centre to that of the next column, in m.
-    """
-
-    origin: tuple[float, float]
-    down: tuple[float, float]
-    right: tuple[float, float]
+    origin: tuple[float, float]  # centre of cell (0, 0)
+    down: tuple[float, float]  # from a cell's centre to that of the next row
+    right: tuple[float, float]  # from a cell's centre to that of the next column
 
     def centres(self, cells: np.ndarray) -> np.ndarray:
         """Positions ``(…, 2)`` in m of (possibly fractional) cells ``(…, 2)``."""
@@ -178,8 +160,7 @@ class Frame:
 
 
 def _quadrants(rows: tuple[str, ...]) -> tuple[tuple[Cell, ...], ...]:
-    middle = len(rows) // 2
-    free = [(i, j) for i, row in enumerate(rows) for j, mark in enumerate(row) if mark != "#"]
+    middle, free = len(rows) // 2, _cells(rows, walls=False)
     halves = [(lower, right) for lower in (False, True) for right in (False, True)]
     return tuple(tuple(c for c in free if (c[0] >= middle, c[1] >= middle) == half) for half in halves)
 

@@ -8,31 +8,24 @@ import numpy as np
 from plp_lightning.envs.engine import Engine
 from plp_lightning.envs.native import Desk, entry, load, mj_forward, mj_step, save
 
-LEAST = 8
-"""Episodes that a thread takes at a time: a step of one point is shorter than the way into compiled code."""
+LEAST = 8  # episodes that a thread takes at a time: a step of one point is shorter than the way into compiled code
 
 
 class MazePhysics(Engine[Desk]):
-    """Steps a body whose controls are held.
-
-    Args:
-        mjcf: The model.
-        threads: Threads that step it; 0 means one for each core.
-    """
+    """Steps a body whose controls are held, on so many ``threads``; 0 means one for each core."""
 
     def __init__(self, mjcf: str, threads: int = 0) -> None:
         super().__init__(mujoco.MjModel.from_xml_string(mjcf), threads, LEAST)
         self.physical = slice(self.qpos.start, self.qvel.stop)
 
     def room(self, data: mujoco.MjData) -> Desk:
-        """A desk is all that it takes."""
         return Desk.of(self.model, data)
 
     def hold(self, rows: np.ndarray, controls: np.ndarray, substeps: int, forward: bool = False) -> np.ndarray:
-        """Apply ``controls (n, U)`` to ``rows (n,)`` for one control step.
+        """Apply controls ``(n, U)`` to rows ``(n,)`` of the states, which change in place, for one control step.
 
         Args:
-            rows: Rows of the states, which change in place.
+            rows: Rows of the states.
             controls: Controls that are held.
             substeps: Physics steps of the control step; with none, time stands still.
             forward: Compute forces with ``mj_forward`` first, as environments do that set the state there; it gives

@@ -7,16 +7,14 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import ObservationKey
 from plp_lightning.envs.maze.base import FrameName, LayoutName, Maze
 from plp_lightning.envs.maze.layout import Frame
 from plp_lightning.envs.maze.walker_model import Box, walker_mjcf, wall_geoms
 
-FLIP = np.diag([1.0, -1.0])
-"""(x, y) → (x, -y), as a matrix that rows are multiplied with."""
-TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
-"""(x, y) → (-y, x), likewise."""
+FLIP = np.diag([1.0, -1.0])  # (x, y) → (x, -y), as a matrix that rows are multiplied with
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # (x, y) → (-y, x), likewise
 
 
 class PointMaze(Maze):
@@ -31,13 +29,14 @@ class PointMaze(Maze):
     row), and ± u F Q the action for a force u. All maps send the box of actions to itself, and exactly.
 
     Args:
-        layout: Which maze.
+        layout: Maze, by name.
         swap_axes: Show y before x (S).
         negate_actions: Turn the sign of all actions.
         mirror: Turn the sign of y (F).
         quarter_turns: Turns of the frame by 90° each, x towards y (Q).
-        metre: What is shown for a metre, and for a metre per second (l); forces stay shares of the motor's largest.
-        frame: See :class:`Maze`.
+        metre: Number that is shown for a metre, and for a metre per second (l); forces stay shares of the largest.
+        frame: ``d4rl``: x grows with the rows of the maze, as in the paper's data; ``gymnasium``: the frame of
+            Gymnasium-Robotics, origin in the middle, the same for all bodies.
         radius: Distance from the goal that counts as success, in cells of 1 m.
         jitter: Largest offset of a start from its cell's centre along each axis, in cells.
         horizon: Control steps of an episode; None means 250 in umaze and 400 in medium (D4RL: 300 and 600).
@@ -55,16 +54,14 @@ class PointMaze(Maze):
         negate_actions: bool = False,
         mirror: bool = False,
         quarter_turns: int = 0,
-        metre: float = 1.0,
+        metre: PositiveFloat = 1.0,
         frame: FrameName = "d4rl",
-        radius: float = 0.5,
-        jitter: float = 0.25,
-        horizon: int | None = None,
-        threads: int = 0,
+        radius: NonNegativeFloat = 0.5,
+        jitter: NonNegativeFloat = 0.25,
+        horizon: PositiveInt | None = None,
+        threads: NonNegativeInt = 0,
     ) -> None:
         super().__init__(layout, frame, radius, jitter, horizon, threads)
-        if not 0 < metre < np.inf:
-            raise ConfigError(f"metre is {metre}; expected a length above 0; set what one metre is shown as")
         turned = (FLIP if mirror else np.eye(2)) @ np.linalg.matrix_power(TURN, quarter_turns % 4)
         self._seen, self._metre = (np.eye(2)[::-1] if swap_axes else np.eye(2)) @ turned, metre
         self._moved = -turned if negate_actions else turned
@@ -73,21 +70,17 @@ class PointMaze(Maze):
             self._description += f", mirror {mirror}, quarter_turns {quarter_turns}, metre {metre}"
 
     def states_in_maze(self, states: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.states_in_maze`."""
         found: np.ndarray = _planar(states, self._seen.T) / states.dtype.type(self._metre)
         return found
 
     def states_of_domain(self, states: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.states_of_domain`."""
         seen: np.ndarray = _planar(states, self._seen) * states.dtype.type(self._metre)
         return seen
 
     def actions_in_maze(self, actions: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.actions_in_maze`."""
         return _planar(actions, self._moved.T)
 
     def actions_of_domain(self, actions: np.ndarray) -> np.ndarray:
-        """See :meth:`Maze.actions_of_domain`."""
         return _planar(actions, self._moved)
 
     _body = "point"
@@ -140,9 +133,10 @@ class WalkerMaze(Maze):
     of a leg; a control step lasts 50 ms.
 
     Args:
-        layout: Which maze.
+        layout: Maze, by name.
         legs: 4 for the ant, 6 for the spider.
-        frame: See :class:`Maze`.
+        frame: ``d4rl``: x grows with the columns of the maze, as in the paper's data; ``gymnasium``: the frame of
+            Gymnasium-Robotics, origin in the middle, the same for all bodies.
         radius: Distance from the goal that counts as success, in cells of 4 m.
         jitter: Largest offset of a start from its cell's centre along each axis, in cells.
         horizon: Control steps of an episode; None means 700 in umaze and 1200 in medium (D4RL: 700 and 1000
@@ -159,39 +153,27 @@ class WalkerMaze(Maze):
         layout: LayoutName,
         legs: Literal[4, 6] = 4,
         frame: FrameName = "d4rl",
-        radius: float = 0.5,
-        jitter: float = 0.25,
-        horizon: int | None = None,
-        threads: int = 0,
+        radius: NonNegativeFloat = 0.5,
+        jitter: NonNegativeFloat = 0.25,
+        horizon: PositiveInt | None = None,
+        threads: NonNegativeInt = 0,
     ) -> None:
-        self.legs = legs
+        # Each leg has two joints, each with a motor.
+        self.legs, self._action_size, self._body = legs, 2 * legs, f"walker with {legs} legs"
         super().__init__(layout, frame, radius, jitter, horizon, threads)
-
-    @property
-    def joints(self) -> int:
-        """Number of leg joints, each with a motor."""
-        return 2 * self.legs
 
     _wall_height = 2.0
     _forward = False
-
-    @property
-    def _body(self) -> str:
-        return f"walker with {self.legs} legs"
-
-    @property
-    def _action_size(self) -> int:
-        return self.joints
 
     def _keys(self) -> tuple[ObservationKey, ...]:
         return (
             ObservationKey("position", (2,), unit="m"),
             ObservationKey("height", (1,), unit="m"),
             ObservationKey("quat", (4,)),
-            ObservationKey("joints", (self.joints,), unit="rad"),
+            ObservationKey("joints", (2 * self.legs,), unit="rad"),
             ObservationKey("velocity", (3,), unit="m/s"),
             ObservationKey("angular_velocity", (3,), unit="rad/s"),
-            ObservationKey("joint_velocities", (self.joints,), unit="rad/s"),
+            ObservationKey("joint_velocities", (2 * self.legs,), unit="rad/s"),
         )
 
     def _d4rl_frame(self) -> Frame:
@@ -203,6 +185,6 @@ class WalkerMaze(Maze):
 
 
 def _planar(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Every two columns of ``vectors (n, 2 m)`` times a matrix, in the precision that they came in."""
+    """Every two columns of vectors ``(n, 2 m)`` times a matrix, in the precision that they came in."""
     turned: np.ndarray = vectors.reshape(-1, 2) @ matrix.astype(vectors.dtype)
     return turned.reshape(vectors.shape)

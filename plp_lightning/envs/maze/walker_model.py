@@ -6,42 +6,33 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-GEAR = 150.0
-"""Torque of a motor at action 1, in N m."""
+GEAR = 150.0  # torque of a motor at action 1, in N m
 
 
 class Box(NamedTuple):
     """A wall block that stands on the floor, sides along the axes."""
 
-    x: float
-    """Centre, in m."""
+    x: float  # centre, in m
     y: float
     half_width: float
     half_height: float
 
-    def geom(self, name: str) -> str:
-        """The block as an MJCF geom that collides with everything."""
-        return (
-            f'<geom name="{name}" type="box" pos="{self.x} {self.y} {self.half_height}" '
-            f'size="{self.half_width} {self.half_width} {self.half_height}" contype="1" conaffinity="1"/>'
-        )
-
 
 def wall_geoms(walls: Sequence[Box]) -> str:
-    """MJCF geoms of all blocks, named ``wall_0``, ``wall_1``, … in order."""
-    return "\n".join(wall.geom(f"wall_{i}") for i, wall in enumerate(walls))
+    """MJCF geoms of all blocks, named ``wall_0``, ``wall_1``, … in order, which collide with everything."""
+    return "\n".join(
+        f'<geom name="wall_{i}" type="box" pos="{x} {y} {height}" size="{width} {width} {height}" contype="1" '
+        'conaffinity="1"/>'
+        for i, (x, y, width, height) in enumerate(walls)
+    )
 
 
 def walker_mjcf(legs: int, walls: Sequence[Box] = ()) -> str:
     """MJCF of a torso on ``legs`` two-jointed legs at equal angles, on a plane with ``walls``.
 
-    Four legs give the dynamics of Gymnasium's ``ant.xml`` to the last bit: the same lengths, joint axes
-    and ranges, and the same order of bodies, joints and motors.
+    Four legs give the dynamics of Gymnasium's ``ant.xml`` to the last bit: the same lengths, joint axes and ranges, and
+    the same order of bodies, joints and motors. The i-th of 1…n legs stands at an angle of (2 i - 1) π / n.
     See https://github.com/Farama-Foundation/Gymnasium/blob/main/gymnasium/envs/mujoco/assets/ant.xml.
-
-    Args:
-        legs: Number of legs, n; the i-th of 1…n stands at an angle of (2 i - 1) π / n.
-        walls: Blocks, in the order that numbers their contacts.
     """
     leg_bodies = "\n".join(_leg(i, (2 * i - 1) * math.pi / legs) for i in range(1, legs + 1))
     # Gymnasium's ant lists the motors of its last leg first.

@@ -7,7 +7,11 @@ from __future__ import annotations
 
 import ctypes
 import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import cache
+from multiprocessing import get_context
 from typing import Literal, get_args
 
 from datamodules.errors import UserError
@@ -17,12 +21,11 @@ Backend = Literal["egl", "osmesa"]
 PACKAGES: dict[Backend, str] = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Packages of Debian and Ubuntu that a backend needs."""
 
-_PLATFORM_DEVICE = 0x313F  # EGL_PLATFORM_DEVICE_EXT
-_MOST_DEVICES = 16
+_PLATFORM_DEVICE, _MOST_DEVICES = 0x313F, 16  # the first is EGL_PLATFORM_DEVICE_EXT
 
 
 def choose_backend() -> Backend:
-    """The backend to draw with, also left in ``MUJOCO_GL`` for whatever imports MuJoCo later.
+    """The backend to draw with, also left in ``MUJOCO_GL`` for imports of MuJoCo later.
 
     A value that ``MUJOCO_GL`` has already is taken as it is. Call this before MuJoCo is imported if
     ``mujoco.Renderer`` is to be used too; :class:`~plp_lightning.envs.rendering.camera.Camera` works in any order.
@@ -43,7 +46,7 @@ def choose_backend() -> Backend:
 
 
 def missing(backend: Backend) -> str:
-    """One line: images cannot be drawn with ``backend``, and what to install."""
+    """One line: images cannot be drawn with ``backend``, and the packages to install."""
     return (
         f"images cannot be drawn: {backend} does not work on this machine; "
         f"expected Mesa's libraries, install them: apt-get install {PACKAGES[backend]}"
@@ -81,3 +84,39 @@ def _egl_initialises(egl: ctypes.CDLL) -> bool:
         return False
     displays = (display_of(_PLATFORM_DEVICE, device, None) for device in devices[: count.value])
     return any(display and egl.eglInitialize(pointer(display), None, None) for display in displays)
+
+
+def frames_per_second(backend: Backend, seconds: float = 1.0) -> float:
+    """Images of V2V-Reach, ``(64, 64, 3)``, that one thread draws in a second, measured for so many ``seconds``.
+
+    Raises:
+        UserError: If the backend does not work on this machine.
+    """
+    # PyOpenGL settles on one backend for good, so each is asked in a process of its own.
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        try:
+            return pool.submit(_draw, backend, seconds).result()
+        except BrokenProcessPool as error:  # a driver that crashes takes its process with it
+            raise UserError(missing(backend)) from error
+
+
+def _draw(backend: Backend, seconds: float) -> float:
+    os.environ["MUJOCO_GL"] = backend
+    import mujoco
+
+    from plp_lightning.envs.rendering.camera import Camera, Viewpoint
+    from plp_lightning.envs.tabletop.model import reach_model
+    from plp_lightning.envs.tabletop.simulator import VIEWS
+
+    model = reach_model(64).model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = Camera(model, Viewpoint(*VIEWS["front_left"]), 64)
+    camera.image(data)  # the first one compiles shaders
+    frames, start = 0, time.perf_counter()
+    while time.perf_counter() < start + seconds:
+        camera.image(data)
+        frames += 1
+    elapsed = time.perf_counter() - start
+    camera.close()
+    return frames / elapsed

@@ -1,7 +1,4 @@
-"""A camera that draws a model's states as small images, without a screen, shadows and reflections.
-
-Importing this module imports MuJoCo.
-"""
+"""A camera that draws a model's states as small images, without a screen, shadows and reflections."""
 
 from __future__ import annotations
 
@@ -18,16 +15,12 @@ _OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)
 
 
 class Viewpoint(NamedTuple):
-    """A camera's place, and the point that it looks at."""
+    """Place of a camera, and the point that it looks at."""
 
-    azimuth: float
-    """Direction of the view around the vertical, degrees; 90 looks along +y."""
-    elevation: float
-    """Direction of the view against the horizon, degrees; negative looks down."""
-    distance: float
-    """From the point looked at, m."""
-    lookat: tuple[float, float, float] = (0.0, 0.7, 0.15)
-    """In the world, m."""
+    azimuth: float  # direction of the view around the vertical, degrees; 90 looks along +y
+    elevation: float  # direction of the view against the horizon, degrees; negative looks down
+    distance: float  # from the point looked at, m
+    lookat: tuple[float, float, float] = (0.0, 0.7, 0.15)  # in the world, m
 
 
 class Camera:
@@ -36,8 +29,8 @@ class Camera:
     Its OpenGL context belongs to the thread that makes the camera: only that thread may use it or let it go.
 
     Args:
-        model: What to draw; its offscreen buffer decides the largest image.
-        viewpoint: From where.
+        model: Model to draw; its offscreen buffer decides the largest image.
+        viewpoint: Place of the camera.
         size: Height and width of the images, pixels.
 
     Raises:
@@ -45,25 +38,21 @@ class Camera:
     """
 
     def __init__(self, model: mujoco.MjModel, viewpoint: Viewpoint, size: int) -> None:
-        self._model = model
-        self._context = _make_context(size)
+        self._model, self._context = model, _make_context(size)
         self._context.make_current()
         self._drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 100)
         for flag in _OFF:
             self._scene.flags[flag] = 0
-        self._option = mujoco.MjvOption()
-        self._camera = free_camera(viewpoint)
+        self._option, self._camera = mujoco.MjvOption(), free_camera(viewpoint)
         self._frame = mujoco.MjrRect(0, 0, size, size)
         self._pixels = np.empty((size, size, 3), dtype=np.uint8)
 
     def image(self, data: mujoco.MjData, out: np.ndarray | None = None) -> np.ndarray:
         """The state in ``data``, whose kinematics are fresh, as uint8 ``(size, size, 3)``, top row first.
 
-        Args:
-            data: What to draw.
-            out: Where to write the image; a new array if None.
+        It is written to ``out``, of that shape too, or to a new array.
         """
         out = np.empty_like(self._pixels) if out is None else out
         everything = mujoco.mjtCatBit.mjCAT_ALL

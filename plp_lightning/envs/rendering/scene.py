@@ -10,22 +10,13 @@ from collections.abc import Collection
 import mujoco
 import numpy as np
 
-MOST_FACES = 600
-"""A mesh with more triangles is decimated."""
-CELL = 0.02
-"""Edge of the grid cells in which a mesh's vertices are merged, m: about a pixel in an image of 64 × 64."""
-HIDDEN = 5
-"""A group that is not drawn."""
+MOST_FACES = 600  # a mesh with more triangles is decimated
+CELL = 0.02  # edge of the grid cells in which a mesh's vertices are merged, m: about a pixel in an image of 64 × 64
+HIDDEN = 5  # a group that is not drawn
 
 
 def lighten(spec: mujoco.MjSpec, unseen: Collection[str], image_size: int) -> mujoco.MjModel:
-    """Compile a model that is drawn fast.
-
-    Args:
-        spec: The scene; its meshes are replaced in place.
-        unseen: Names of bodies that are out of every picture.
-        image_size: Height and width of the largest image, pixels.
-    """
+    """Compile a model that is drawn fast, without the bodies ``unseen``, up to images ``(size, size, 3)``."""
     shipped = spec.compile()
     heavy = {shipped.mesh(i).name for i in range(shipped.nmesh) if shipped.mesh_facenum[i] > MOST_FACES}
     for name in heavy:
@@ -51,7 +42,7 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, cell: float) -> tuple[np.n
         cell: Edge of a cell, m.
 
     Returns:
-        Fewer vertices and faces.
+        Fewer vertices ``(V', 3)`` and faces ``(F', 3)``.
     """
     _, merged = np.unique(np.floor(vertices / cell), axis=0, return_inverse=True)
     merged = merged.reshape(-1)
@@ -72,20 +63,19 @@ def _add_light_mesh(spec: mujoco.MjSpec, shipped: mujoco.MjModel, name: str) -> 
     turned = shipped.mesh_vert[vertex : vertex + shipped.mesh_vertnum[mesh]].astype(float) @ rotation.reshape(3, 3).T
     faces = shipped.mesh_face[corner : corner + shipped.mesh_facenum[mesh]]
     vertices, faces = decimate(turned + shipped.mesh_pos[mesh], faces, CELL)
-    twin = spec.add_mesh(name=_light(name))
+    twin = spec.add_mesh(name=f"{name}_light")
     twin.uservert, twin.userface = vertices.ravel().tolist(), faces.astype(np.int32).ravel().tolist()
     twin.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
 
 
 def _draw_light(geom: mujoco.MjsGeom) -> None:
     """Draw the decimated mesh in place of the heavy one; a geom that collides keeps its own and gets a companion."""
-    light = _light(geom.meshname)
+    light = f"{geom.meshname}_light"
     if geom.contype == 0 and geom.conaffinity == 0:
         geom.meshname = light
         return
-    look = {"rgba": geom.rgba, "group": geom.group, "material": geom.material}
-    place = {"pos": geom.pos, "quat": geom.quat}
-    geom.parent.add_geom(type=geom.type, meshname=light, contype=0, conaffinity=0, mass=0.0, **look, **place)
+    same = {name: getattr(geom, name) for name in ("type", "rgba", "group", "material", "pos", "quat")}
+    geom.parent.add_geom(meshname=light, contype=0, conaffinity=0, mass=0.0, **same)
 
 
 def _hide(model: mujoco.MjModel, heavy: Collection[str], unseen: Collection[str]) -> None:
@@ -97,7 +87,3 @@ def _hide(model: mujoco.MjModel, heavy: Collection[str], unseen: Collection[str]
         if model.geom_bodyid[geom] in bodies or (is_mesh and model.geom_dataid[geom] in meshes):
             model.geom_group[geom] = HIDDEN
     model.site_group[:] = HIDDEN
-
-
-def _light(name: str) -> str:
-    return f"{name}_light"

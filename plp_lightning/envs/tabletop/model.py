@@ -21,10 +21,8 @@ REACH_FILE = "sawyer_reach_v3.xml"
 WINDOW_FILE = "sawyer_window_horizontal.xml"
 BALLS = {"red": (0.9, 0.05, 0.05, 1.0), "green": (0.05, 0.7, 0.05, 1.0), "blue": (0.05, 0.1, 0.9, 1.0)}
 """Colour of each ball, RGBA."""
-BALL_RADIUS = 0.03
-"""Radius that is drawn, m: the balls touch nothing."""
-UNSEEN = ("torso", "pedestal_feet", "controller_box")
-"""Parts of the robot that are in none of our pictures."""
+BALL_RADIUS = 0.03  # radius that is drawn, m: the balls touch nothing
+UNSEEN = ("torso", "pedestal_feet", "controller_box")  # parts of the robot that are in none of our pictures
 WELD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 5.0)
 """Meta-World's weld of the hand to the point that it follows (``SawyerMocapBase.reset_mocap_welds``)."""
 
@@ -38,25 +36,14 @@ class TabletopModel:
     claws: tuple[int, int]
     sites: np.ndarray
     """Sites whose positions decide success: the two fingertips first, then those of the window's handle."""
-    follower: int
-    """Row in mocap_pos of the point that the hand follows."""
-    furniture: np.ndarray
-    """Rows in mocap_pos of what stands elsewhere in each episode: the balls, or the window."""
-    object_qpos: slice
-    """Place in qpos of the puck's position, or of how far the window is open."""
-    object_qvel: slice
-    """Speeds that are zero at the start of an episode."""
+    follower: int  # row in mocap_pos of the point that the hand follows
+    furniture: np.ndarray  # rows in mocap_pos of what stands elsewhere in each episode: the balls, or the window
+    object_qpos: slice  # place in qpos of the puck's position, or of how far the window is open
+    object_qvel: slice  # speeds that are zero at the start of an episode
 
     @classmethod
     def of(cls, model: mujoco.MjModel, sites: Sequence[str], furniture: Sequence[str], joint: str) -> TabletopModel:
-        """Find the parts by their names.
-
-        Args:
-            model: The scene.
-            sites: Sites at the object, if any.
-            furniture: Mocap bodies.
-            joint: The object's joint.
-        """
+        """Find the parts by the names of sites at the object, of mocap bodies and of the object's joint."""
         tips = ("rightEndEffector", "leftEndEffector")
         qpos, qvel = int(model.joint(joint).qposadr[0]), int(model.joint(joint).dofadr[0])
         free = model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_FREE
@@ -74,15 +61,10 @@ class TabletopModel:
 
 @cache
 def reach_model(image_size: int) -> TabletopModel:
-    """Meta-World's Reach with three coloured balls and its puck unseen, built once in a process.
-
-    Args:
-        image_size: Height and width of the largest image, pixels.
-    """
+    """Meta-World's Reach with coloured balls and its puck unseen, up to images ``(size, size, 3)``; built once."""
     spec = read_scene(REACH_FILE)
     for name, rgba in BALLS.items():
-        ball = spec.worldbody.add_body(name=name, mocap=True)
-        sphere = mujoco.mjtGeom.mjGEOM_SPHERE
+        ball, sphere = spec.worldbody.add_body(name=name, mocap=True), mujoco.mjtGeom.mjGEOM_SPHERE
         ball.add_geom(type=sphere, size=[BALL_RADIUS, 0, 0], rgba=rgba, contype=0, conaffinity=0, mass=0.0)
     model = _finish(spec, image_size)
     model.geom("objGeom").group[:] = HIDDEN
@@ -91,11 +73,7 @@ def reach_model(image_size: int) -> TabletopModel:
 
 @cache
 def window_model(image_size: int) -> TabletopModel:
-    """Meta-World's window, which stands elsewhere in each episode, built once in a process.
-
-    Args:
-        image_size: Height and width of the largest image, pixels.
-    """
+    """Meta-World's window, which stands elsewhere in each episode, up to images ``(size, size, 3)``; built once."""
     spec = read_scene(WINDOW_FILE)
     # A mocap body's place is state, not model, so one model serves all episodes.
     spec.body("window").mocap = True

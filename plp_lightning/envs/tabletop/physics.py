@@ -1,6 +1,6 @@
-"""Many episodes of one tabletop scene, stepped and drawn together by the engine's threads.
+"""Many episodes of one tabletop scene, stepped and drawn together by the engine's threads, each with its own camera.
 
-Each thread has its own camera: MuJoCo lets go of Python's lock while it steps and draws, so that threads use all cores.
+MuJoCo lets go of Python's lock while it steps and draws, so that threads use all cores.
 """
 
 from __future__ import annotations
@@ -16,30 +16,14 @@ from plp_lightning.envs.engine import Engine
 from plp_lightning.envs.native import Desk, load, save
 from plp_lightning.envs.rendering.camera import Camera, Viewpoint
 from plp_lightning.envs.tabletop.model import TabletopModel
+from plp_lightning.envs.tabletop.simulator import Layout
 
-SUBSTEPS = 5
-"""Physics steps for each control step, of 2.5 ms each."""
-SETTLING = 50 * SUBSTEPS
-"""Physics steps in which the hand gets to its start."""
-ACTION_SCALE = 1.0 / 100
-"""Way of the point that the hand follows for an action of 1, m."""
-DOWN = (1.0, 0.0, 1.0, 0.0)
-"""Orientation of that point."""
-WORKSPACE = np.array([[-0.5, 0.40, 0.05], [0.5, 1.0, 0.5]])
-"""Least and greatest place of that point, m."""
-WIDEST_GRIP = 0.1
-"""Distance of the claws that counts as 1, m."""
-
-
-class Layout(NamedTuple):
-    """The beginning of one episode."""
-
-    hand: np.ndarray
-    """Start of the hand ``(3,)``, m."""
-    furniture: np.ndarray
-    """Places ``(m, 3)`` of the balls, or of the window, m."""
-    object: np.ndarray
-    """Position of the puck ``(3,)``, or how far the window is open ``(1,)``, m."""
+SUBSTEPS = 5  # physics steps for each control step, of 2.5 ms each
+SETTLING = 50 * SUBSTEPS  # physics steps in which the hand gets to its start
+ACTION_SCALE = 1.0 / 100  # way of the point that the hand follows for an action of 1, m
+DOWN = (1.0, 0.0, 1.0, 0.0)  # orientation of that point
+WORKSPACE = np.array([[-0.5, 0.40, 0.05], [0.5, 1.0, 0.5]])  # least and greatest place of that point, m
+WIDEST_GRIP = 0.1  # distance of the claws that counts as 1, m
 
 
 class Room(NamedTuple):
@@ -51,25 +35,17 @@ class Room(NamedTuple):
 
 
 class TabletopPhysics(Engine[Room]):
-    """The last observations of E episodes, and how they advance.
-
-    Args:
-        scene: What is simulated.
-        viewpoint: Where the camera stands.
-        image_size: Height and width of the images, pixels.
-        threads: Threads that step and draw; 0 means one for each core.
-    """
+    """The last observations of E episodes, which so many ``threads`` step and draw; 0 means one for each core."""
 
     def __init__(self, scene: TabletopModel, viewpoint: Viewpoint, image_size: int, threads: int) -> None:
         self.scene, self.viewpoint, self.image_size = scene, viewpoint, image_size
         super().__init__(scene.model, threads)
 
     def room(self, data: mujoco.MjData) -> Room:
-        """A desk, and a camera of its own."""
         return Room(data, Desk.of(self.model, data), Camera(self.model, self.viewpoint, self.image_size))
 
     def reset(self, layouts: Sequence[Layout]) -> Observation[np.ndarray]:
-        """Begin an episode for each layout."""
+        """Begin E episodes, one for each layout; their first observations ``(E, …)``."""
         count, size = len(layouts), self.image_size
         self.begin(count)
         self.observed = np.zeros((count, 8), dtype=np.float32)
@@ -80,11 +56,7 @@ class TabletopPhysics(Engine[Room]):
         return self._observation(np.arange(count))
 
     def step(self, actions: np.ndarray, rows: np.ndarray) -> tuple[Observation[np.ndarray], np.ndarray]:
-        """One control step of ``rows (n,)``; an invalid one leaves its episode as it was.
-
-        Returns:
-            Observations of the rows, and which are invalid, ``(n,)`` bool.
-        """
+        """Observations ``(n, …)`` after one control step of rows ``(n,)``, and a mask ``(n,)`` of the invalid ones."""
         valid = self.advance(rows, actions, self._change)
         return self._observation(rows), ~valid
 

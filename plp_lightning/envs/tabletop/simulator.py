@@ -9,11 +9,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from datamodules.errors import ConfigError
+from datamodules.settings import NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
@@ -21,7 +22,7 @@ from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
     from plp_lightning.envs.tabletop.model import TabletopModel
-    from plp_lightning.envs.tabletop.physics import Layout, TabletopPhysics
+    from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
 View = Literal["front_left", "front_right", "front", "rear"]
 
@@ -32,22 +33,23 @@ VIEWS: dict[View, tuple[float, float, float]] = {
     "rear": (125.0, -30.0, 1.15),
 }
 """Azimuth and elevation, degrees, and distance, m, of the camera."""
-RADIUS = 0.05
-"""Distance that counts as there, Meta-World's, m."""
-SLOTS = np.array([[-0.15, 0.8, 0.15], [0.0, 0.8, 0.15], [0.15, 0.8, 0.15]])
-"""Places of the balls, m."""
-REACH_HAND = np.array([[-0.15, 0.5, 0.1], [0.15, 0.65, 0.3]])
-"""Lowest and highest start of the hand in Reach, m."""
-PUCK = np.array([0.0, 0.0, 100.0])
-"""Meta-World's puck is of no use here; it falls from so high that it never arrives."""
+RADIUS = 0.05  # distance that counts as there, Meta-World's, m
+SLOTS = np.array([[-0.15, 0.8, 0.15], [0.0, 0.8, 0.15], [0.15, 0.8, 0.15]])  # places of the balls, m
+REACH_HAND = np.array([[-0.15, 0.5, 0.1], [0.15, 0.65, 0.3]])  # lowest and highest start of the hand in Reach, m
+PUCK = np.array([0.0, 0.0, 100.0])  # Meta-World's puck is of no use here; it falls from so high that it never arrives
 WINDOW_HAND = np.array([[-0.1, 0.4, 0.15], [0.1, 0.5, 0.25]])
-WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])
-"""Least and greatest x and y of the window's place, m."""
+WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])  # least and greatest x and y of the window's place, m
 WINDOW_Z = 0.16
-SLIDE = 0.2
-"""Way that the window opens, m."""
-AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}
-"""Window-Close, by quarter of the area."""
+SLIDE = 0.2  # way that the window opens, m
+AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}  # Window-Close, by quarter of the area
+
+
+class Layout(NamedTuple):
+    """The beginning of one episode."""
+
+    hand: np.ndarray  # start of the hand (3,), m
+    furniture: np.ndarray  # places (m, 3) of the balls, or of the window, m
+    object: np.ndarray  # position of the puck (3,), or how far the window is open (1,), m
 
 
 class Tabletop(Simulator):
@@ -63,20 +65,20 @@ class Tabletop(Simulator):
         threads: Threads that step and draw; 0 means one for each core.
 
     Raises:
-        ConfigError: If an argument is out of its range.
+        ConfigError: If there is no such view, or no image of that size.
     """
 
-    def __init__(self, view: View, image_size: int = 64, horizon: int = 150, threads: int = 0) -> None:
+    def __init__(
+        self, view: View, image_size: int = 64, horizon: PositiveInt = 150, threads: NonNegativeInt = 0
+    ) -> None:
         if view not in get_args(View):
             raise ConfigError(f"view is {view!r}; expected one of: {', '.join(get_args(View))}")
         if not 8 <= image_size <= 512:
             raise ConfigError(f"image_size is {image_size}; expected 8 to 512 pixels")
-        if horizon < 1 or threads < 0:
-            raise ConfigError(f"horizon is {horizon}, threads is {threads}; expected at least 1 and at least 0")
         self.view, self.image_size, self.horizon, self.threads = view, image_size, horizon, threads
 
     def spec(self, name: str) -> DomainSpec:
-        """An image, and position of the hand and opening of the gripper, now and one control step ago."""
+        """An image ``(H, W, 3)``, and place ``(3,)`` of the hand and opening ``(1,)`` of the gripper, new and old."""
         keys = (
             ObservationKey("image", (self.image_size, self.image_size, 3), kind="image"),
             ObservationKey("hand_pos", (3,), unit="m"),
@@ -89,16 +91,9 @@ class Tabletop(Simulator):
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the hand in the world, ``(N, 3)``, m."""
-        position: np.ndarray = state[:, self.spec("").columns(["hand_pos"])]
-        return position
+        return state[:, self.spec("").columns(["hand_pos"])]
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        """Begin E episodes; the first call builds the model and finds a renderer.
-
-        Raises:
-            ConfigError: If a task is unknown.
-            UserError: If images cannot be drawn on this machine.
-        """
         self.tasks.check(tasks)
         layouts = [self._layout(task, self._stream(seed)) for task, seed in zip(tasks, seeds, strict=True)]
         first = self._physics.reset(layouts)
@@ -106,13 +101,12 @@ class Tabletop(Simulator):
         return first
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        """Apply ``actions (n, 4)`` to ``episodes (n,)``; an invalid step leaves its episode as it was."""
         observation, invalid = self._physics.step(actions, episodes)
         return Step(observation, self._solved(episodes) & ~invalid, invalid)
 
     @abstractmethod
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Place ``(n, 3)`` of the ball or handle in each of the ``episodes (n,)``, m: for experts, not policies."""
+        """Place ``(n, 3)`` of the ball or handle in each of the episodes ``(n,)``, m: for experts, not policies."""
 
     @abstractmethod
     def _layout(self, task: str, stream: np.random.Generator) -> Layout: ...
@@ -134,8 +128,7 @@ class Tabletop(Simulator):
         from plp_lightning.envs.rendering.camera import Viewpoint
         from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
-        viewpoint = Viewpoint(*VIEWS[self.view])
-        return TabletopPhysics(self._scene(), viewpoint, self.image_size, self.threads)
+        return TabletopPhysics(self._scene(), Viewpoint(*VIEWS[self.view]), self.image_size, self.threads)
 
     def _stream(self, seed: int) -> np.random.Generator:
         # The view joins the seed, so that equal seeds do not align the domains' episodes.
@@ -153,17 +146,14 @@ class Reach(Tabletop):
 
     def arrangement(self, task: str, seed: int) -> str:
         """The balls in the order of their places, ``red green blue`` for instance; the task does not matter."""
-        _, order = _draw_reach(self._stream(seed))
+        order = _draw_reach(self._stream(seed))[1]
         return " ".join(self.tasks.names[ball] for ball in np.argsort(order))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Place ``(n, 3)`` of the ball to be touched, m."""
         aims: np.ndarray = self._balls[episodes, self._goal[episodes]]
         return aims
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
-        from plp_lightning.envs.tabletop.physics import Layout
-
         hand, order = _draw_reach(stream)
         return Layout(hand, SLOTS[order], PUCK)
 
@@ -192,13 +182,10 @@ class Window(Tabletop):
     tasks = Tasks("V2V-Open", (*AREAS, "open"))
 
     def aims(self, episodes: np.ndarray) -> np.ndarray:
-        """Place ``(n, 3)`` of the handle, m."""
         handle: np.ndarray = self._physics.sites[episodes, self._handle[episodes]]
         return handle
 
     def _layout(self, task: str, stream: np.random.Generator) -> Layout:
-        from plp_lightning.envs.tabletop.physics import Layout
-
         hand, share = stream.uniform(*WINDOW_HAND), stream.uniform(size=2)
         if task != "open":
             share = (np.array(AREAS[task]) + share) / 2
@@ -221,5 +208,4 @@ class Window(Tabletop):
 
 
 def _draw_reach(stream: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Place of the hand at the start, and of each ball."""
     return stream.uniform(*REACH_HAND), stream.permutation(len(SLOTS))

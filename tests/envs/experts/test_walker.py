@@ -8,7 +8,7 @@ from safetensors.numpy import save_file
 
 from datamodules.errors import CheckpointError, ConfigError
 from plp_lightning.envs.experts.gait import Gait, Symmetry, gait_path, provenance
-from plp_lightning.envs.experts.walker import WalkerExpert
+from plp_lightning.envs.experts.waypoint import WalkerExpert
 from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.maze.walker_model import walker_mjcf
