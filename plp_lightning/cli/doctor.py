@@ -14,7 +14,8 @@ from rich.table import Table
 from datamodules.errors import UserError
 from plp_lightning.cli.options import OptionParser
 from plp_lightning.envs.base import available_cores
-from plp_lightning.envs.rendering.backend import Backend, frames_per_second
+from plp_lightning.envs.rendering.backend import Backend
+from plp_lightning.envs.rendering.speed import frames_per_second
 from plp_lightning.runs.versions import PACKAGES, versions
 
 THREADS = ("OMP_NUM_THREADS", "LP_NUM_THREADS")  # Variables that say how many threads a library starts in each process

@@ -15,8 +15,8 @@ from datamodules.types import Observation
 from plp_lightning.envs.engine import Engine
 from plp_lightning.envs.native import Desk, load, save
 from plp_lightning.envs.rendering.camera import Camera, Viewpoint
+from plp_lightning.envs.tabletop.layout import Layout
 from plp_lightning.envs.tabletop.model import TabletopModel
-from plp_lightning.envs.tabletop.simulator import Layout
 
 SUBSTEPS = 5  # physics steps for each control step, of 2.5 ms each
 SETTLING = 50 * SUBSTEPS  # physics steps in which the hand gets to its start

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from datamodules.settings import NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.tabletop.layout import Layout
 from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
@@ -42,14 +43,6 @@ WINDOW_AREA = np.array([[-0.2, 0.65], [0.2, 0.9]])  # least and greatest x and y
 WINDOW_Z = 0.16
 SLIDE = 0.2  # way that the window opens, m
 AREAS = {f"close_x{i}y{j}": (i, j) for i in range(2) for j in range(2)}  # Window-Close, by quarter of the area
-
-
-class Layout(NamedTuple):
-    """The beginning of one episode."""
-
-    hand: np.ndarray  # start of the hand (3,), m
-    furniture: np.ndarray  # places (m, 3) of the balls, or of the window, m
-    object: np.ndarray  # position of the puck (3,), or how far the window is open (1,), m
 
 
 class Tabletop(Simulator):
