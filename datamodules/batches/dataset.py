@@ -138,11 +138,14 @@ def thin_out(dataset: DomainDataset, episodes: np.ndarray, phase: np.ndarray, st
         stride: Distance of the kept frames, in steps; shortened for trajectories that are not longer.
     """
     start, length = dataset.offset[episodes], np.diff(dataset.offset)[episodes]
+    # A trajectory of two steps or more keeps two frames whatever the stride: with one frame there is no cycle to close.
     stride_of = np.minimum(stride, np.maximum(1, length - 1))
+    # It begins within its first stride, and not so late that the second frame would lie behind the end.
     first = (phase * np.minimum(stride_of, np.maximum(1, length - stride_of))).astype(np.int64)
     frames = (length - 1 - first) // stride_of + 1
     t = np.arange(frames.max())
     mask = t < frames[:, None]
+    # Frames are drawn and encoded end to end, without padding; index then tells where (p, t) stands among them.
     rows = (start + first)[:, None] + t * stride_of[:, None]
     index = np.where(mask, mask.cumsum().reshape(mask.shape) - 1, 0)
     kept = torch.from_numpy(rows[mask])

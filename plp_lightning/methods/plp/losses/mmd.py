@@ -74,15 +74,17 @@ class _KernelSum(torch.autograd.Function):
     """``sum_h sum_ij w_ij exp(-s_ij / (h m)²)`` of the squared distances s between points, m the mean of their roots.
 
     Written out because automatic differentiation would cost a second matrix product (it doesn't know that s is
-    symmetric) and twice the passes over ``(N, N)``:
+    symmetric) and twice the passes over ``(N, N)``::
 
-        dL/ds_ij = -k_ij / m² + r_ij / d_ij,  where k_ij = sum_h w_ij exp(-s_ij / (h m)²) / h² r = sum_ij k_ij s_ij / m³
-        / (N (N - 1)), or 0 where m counts as a constant dL/dx_i = 4 sum_j dL/ds_ij (x_i - x_j)
+        dL/ds_ij = -k_ij / m² + r / d_ij,  where k_ij = sum_h w_ij exp(-s_ij / (h m)²) / h² and d_ij is the root of s_ij,
+        r = sum_ij k_ij s_ij / m³ / (N (N - 1)), or 0 where m counts as a constant
+        dL/dx_i = 4 sum_j dL/ds_ij (x_i - x_j)
     """
 
     @staticmethod
     def forward(ctx: Any, points: Tensor, weights: Tensor, scale_gradient: bool, bandwidths: Sequence[float]) -> Tensor:
         """Points ``(N, Z)``, centred; weights ``(N, N)``, symmetric."""
+        # |a - b|² = |a|² + |b|² - 2 ab: one product of matrices instead of (N, N, Z) differences.
         product = points @ points.T
         norm = product.diagonal().clone()
         squared = product.mul_(-2).add_(norm).add_(norm[:, None])  # (N, N), zero on the diagonal
@@ -91,7 +93,7 @@ class _KernelSum(torch.autograd.Function):
         mean = torch.dot(squared.flatten(), inverse.flatten()) / pairs
         # All points in one place: the kernel is 1 and the slope 0.
         scale = torch.where(mean > 0, 1 / mean, 0)
-        ratio = squared.mul_(scale.square())
+        ratio = squared.mul_(scale.square())  # s / m²; from here on no distance has a unit
         total, kernel = torch.zeros_like(mean), torch.zeros_like(ratio)
         for width in bandwidths:
             narrowed = torch.exp(ratio * -(width**-2)).mul_(weights)
@@ -106,8 +108,9 @@ class _KernelSum(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None, None]:
-        """Gradient with respect to the points."""
+        """Gradient ``(N, Z)`` with respect to the points."""
         points, kernel, inverse, scale, slope = ctx.saved_tensors
-        squared_grad = torch.addcmul(kernel * -scale.square(), inverse, slope)
+        squared_grad = torch.addcmul(kernel * -scale.square(), inverse, slope)  # dL/ds, symmetric
+        # sum_j g_ij (x_i - x_j) is the row sum times x_i, less one product: the differences never stand in memory.
         row = squared_grad.sum(1, keepdim=True)
         return 4 * grad * (row * points - squared_grad @ points), None, None, None
