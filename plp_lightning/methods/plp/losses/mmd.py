@@ -76,7 +76,8 @@ class _KernelSum(torch.autograd.Function):
     Written out because automatic differentiation would cost a second matrix product (it doesn't know that s is
     symmetric) and twice the passes over ``(N, N)``::
 
-        dL/ds_ij = -k_ij / m² + r / d_ij,  where k_ij = sum_h w_ij exp(-s_ij / (h m)²) / h² and d_ij is the root of s_ij,
+        dL/ds_ij = -k_ij / m² + r / d_ij,  d_ij the root of s_ij
+        k_ij = sum_h w_ij exp(-s_ij / (h m)²) / h²
         r = sum_ij k_ij s_ij / m³ / (N (N - 1)), or 0 where m counts as a constant
         dL/dx_i = 4 sum_j dL/ds_ij (x_i - x_j)
     """
