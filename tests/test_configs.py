@@ -45,7 +45,7 @@ def test_every_method_on_every_experiment_is_printed_as_it_reruns(
     experiment: Path, method: Path, tmp_path: Path
 ) -> None:
     first = parse(["--config", str(experiment), *TINY, "--config", str(method)])
-    assert (first.name, first.method) == (experiment.stem, method.stem)
+    assert (first.name, first.method.name) == (experiment.stem, method.stem)
     assert first.data.source_domain != first.data.target_domain
     assert not set(first.data.proxy_tasks) & set(first.data.target_tasks)
     (tmp_path / "printed.yaml").write_text(first.config)

@@ -92,7 +92,7 @@ def test_wrong_settings_are_named(words: str, told: str, tmp_path: Path) -> None
         ("evaluatoin: {episodes: 3}", "unknown key 'evaluatoin.episodes'; did you mean 'evaluation.episodes'?"),
         ("data: {batch_sise: 3}", "unknown key 'data.batch_sise'; did you mean 'data.batch_size'?"),
         ("adaptation: {init_args: {epocs: 3}}", "did you mean 'adaptation.epochs'?"),
-        ("collection: {noise: [1]}", "CollectionConfig.noise is [1]; expected a number, at least 0; change it"),
+        ("collection: {noise: [1]}", "collection.noise is [1]; expected a number, at least 0; change it"),
         ("data: !!python/object/apply:os.mkdir [pwned]", "extra.yaml: is no YAML (could not determine a constructor"),
     ],
 )

@@ -46,7 +46,11 @@ def numbers(words: list[str]) -> tuple[str, str, Mapping[str, int]]:
     experiment = parse(absolute(words))
     batch_spec = experiment.data.needed()
     proxy_tasks = experiment.data.proxy_tasks
-    return experiment.name, experiment.method, {d: sum(batch_spec[d][task] for task in proxy_tasks) for d in batch_spec}
+    return (
+        experiment.name,
+        experiment.method.name,
+        {d: sum(batch_spec[d][task] for task in proxy_tasks) for d in batch_spec},
+    )
 
 
 def test_every_documented_row_has_a_run_directory_of_its_own() -> None:

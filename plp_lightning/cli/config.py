@@ -28,7 +28,7 @@ from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation.scores import AlignmentScore, JointScore
 from plp_lightning.runs.collection import ExpertCollector
-from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory, check_names, check_roles
+from plp_lightning.runs.experiment import Experiment, Method, PhaseFactory, PolicyFactory, check_names, check_roles
 from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
@@ -198,14 +198,12 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
     check_names(names)
     return Experiment(
         name=made.experiment,
-        method=made.method,
+        method=Method(made.method, made.policy, {name: made[name] for name in made.phases}),
         seed=made.seed,
         threads=made.threads,
         run_root=Path(made.run_root),
         domains=made.domains,
         data=_data(made, made.data),
-        policy=made.policy,
-        phases={name: made[name] for name in made.phases},
         evaluation=made.evaluation,
         score=JointScore(made.score) if made.score else None,
         callbacks=made.callbacks,

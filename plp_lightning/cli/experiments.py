@@ -72,18 +72,20 @@ def _fit(experiment: Experiment, run: RunDirectory) -> None:
     status = run.status()
     origin = RunDirectory.open(Path(status["origin"])) if status.get("origin") else None
     with run.locked():
-        fit(experiment, run, status.get("wanted") or list(experiment.phases), origin)
+        fit(experiment, run, status.get("wanted") or list(experiment.method.phases), origin)
 
 
 def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> list[str]:
-    names = list(experiment.phases)
+    names = list(experiment.method.phases)
     if phase is None and origin is None:
         return names
     if phase is None or (phase in names[:1] and origin is not None):
         later = ", ".join(names[1:])
         raise ConfigError(f"--from {origin} stands in for the phases before --phase; name one of {later}")
     if phase not in names:
-        raise ConfigError(f"--phase is {phase!r}; the phases of method {experiment.method!r} are {', '.join(names)}")
+        raise ConfigError(
+            f"--phase is {phase!r}; the phases of method {experiment.method.name!r} are {', '.join(names)}"
+        )
     if phase != names[0] and origin is None:
         remedy = "name the run that holds it with --from RUN_DIR"
         raise ConfigError(f"--phase {phase} goes on from an earlier phase; {remedy}")
@@ -166,9 +168,11 @@ def _of_run(path: Path, rest: list[str], options: argparse.Namespace) -> Assessm
         raise ConfigError(f"{rest[0]!r} is not accepted with a run directory, whose own configuration is used")
     run = RunDirectory.open(path)
     experiment = parse(["--config", str(run.config), *trusted])
-    if options.phase not in (None, *experiment.phases):
-        raise ConfigError(f"--phase is {options.phase!r}; the phases of {path} are {', '.join(experiment.phases)}")
-    done = [name for name in experiment.phases if run.checkpoint(name).exists()]
+    if options.phase not in (None, *experiment.method.phases):
+        raise ConfigError(
+            f"--phase is {options.phase!r}; the phases of {path} are {', '.join(experiment.method.phases)}"
+        )
+    done = [name for name in experiment.method.phases if run.checkpoint(name).exists()]
     if not done:
         raise ConfigError(f"{run.path}: has no checkpoint yet; finish a phase with plp fit --resume {run.path}")
     return Assessment(experiment, run.checkpoint(options.phase or done[-1], options.which), run.path)

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from datamodules.errors import ConfigError
 
@@ -26,14 +26,20 @@ evaluated or drawn."""
 MOST = 3  # Differences that a message tells
 
 
-@dataclass(frozen=True)
-class Record:
-    """One run's outcome on its target task; success rates are between 0 and 1."""
+class RunKey(NamedTuple):
+    """The names that no two runs have in common."""
 
     experiment: str
     method: str
     target: str
     seed: int
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run's outcome on its target task; success rates are between 0 and 1."""
+
+    run: RunKey
     success: float  # in the target domain, at the end
     low: float  # lower end of its 95 % interval
     high: float  # upper end of it
@@ -55,11 +61,11 @@ def read_records(paths: Sequence[Path]) -> list[Record]:
     """
     contents = {file.resolve(): content for path in paths for file, content in _results(path).items()}
     records = {file: _record(file, contents[file]) for file in sorted(contents)}
-    found: dict[tuple[str, str, str, int], Path] = {}
+    found: dict[RunKey, Path] = {}
     for file, record in records.items():
-        key = (record.experiment, record.method, record.target, record.seed)
-        if found.setdefault(key, file) != file:
-            raise ConfigError(f"{file} and {found[key]} hold the same run {'/'.join(map(str, key))}; name one of them")
+        if found.setdefault(record.run, file) != file:
+            same = "/".join(map(str, record.run))
+            raise ConfigError(f"{file} and {found[record.run]} hold the same run {same}; name one of them")
     _check_settings(records)
     return [*records.values()]
 
@@ -88,10 +94,9 @@ def _record(file: Path, content: Any) -> Record:
     try:
         target = content["target"]
         return Record(
-            experiment=str(content["experiment"]),
-            method=str(content["method"]),
-            target=str(content["target_task"]),
-            seed=int(content["seed"]),
+            run=RunKey(
+                str(content["experiment"]), str(content["method"]), str(content["target_task"]), int(content["seed"])
+            ),
             success=float(target["success"]),
             low=float(target["interval"][0]),
             high=float(target["interval"][1]),
@@ -125,9 +130,10 @@ def _check_settings(records: Mapping[Path, Record]) -> None:
         if record.settings is None:
             continue
         own = {key: value for key, value in record.settings.items() if not _indifferent(key)}
-        other_file, other = first.setdefault((record.experiment, record.method), (file, own))
+        experiment, method = record.run[:2]
+        other_file, other = first.setdefault((experiment, method), (file, own))
         if own != other:
-            runs = f"{other_file} and {file} are runs of {record.method} on {record.experiment}"
+            runs = f"{other_file} and {file} are runs of {method} on {experiment}"
             expected = "expected runs with the same settings, which can be averaged: report them apart"
             raise ConfigError(f"{runs}, but differ in {_differences(other, own)}; {expected}")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import yaml
 
-from plp_lightning.report.records import Record
+from plp_lightning.report.records import Record, RunKey
 
 Paper = Mapping[str, Mapping[str, tuple[float, float]]]  # Mean and standard deviation by experiment and method
 COLUMNS = [field.name for field in fields(Record)]
@@ -50,14 +50,14 @@ def markdown(records: Sequence[Record]) -> str:
 
 
 def comma_separated(records: Sequence[Record]) -> str:
-    """A line a run; columns are the fields of :class:`Record`, and each score and measure of behaviour is one."""
+    """A line a run; columns are the fields of :class:`RunKey` and :class:`Record`, and all scores and measures."""
     measures = [(field, name) for field in MEASURES for name in sorted(_names(records, field))]
-    plain = [name for name in COLUMNS if name not in (*MEASURES, "settings")]
+    plain = [name for name in COLUMNS if name not in ("run", *MEASURES, "settings")]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*plain, *(name for _, name in measures), "settings"])
+    writer.writerow([*RunKey._fields, *plain, *(name for _, name in measures), "settings"])
     for record in sorted(records, key=_rank):
-        cells = [getattr(record, name) for name in plain]
+        cells = [*record.run, *(getattr(record, name) for name in plain)]
         cells += [getattr(record, field).get(name) for field, name in measures]
         settings = "not recorded" if record.settings is None else json.dumps(record.settings)
         writer.writerow([*cells, settings])
@@ -70,9 +70,9 @@ def _names(records: Sequence[Record], field: str) -> set[str]:
 
 def _rank(record: Record) -> tuple[int, str, int, str, str, int]:
     """Order of the paper; names that it doesn't know come last."""
-    experiment, method = record.experiment, record.method
+    experiment, method, target, seed = record.run
     places = (*_place(experiment, [*paper_values()]), *_place(method, [*paper_values().get(experiment, {})]))
-    return (*places, record.target, record.seed)
+    return (*places, target, seed)
 
 
 def _place(name: str, order: Sequence[str]) -> tuple[int, str]:
@@ -82,7 +82,7 @@ def _place(name: str, order: Sequence[str]) -> tuple[int, str]:
 def _methods(ordered: Sequence[Record]) -> list[list[str]]:
     groups: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
     for record in ordered:
-        groups[record.experiment, record.method, f" {MARK}" if record.settings is None else ""].append(record)
+        groups[record.run.experiment, record.run.method, f" {MARK}" if record.settings is None else ""].append(record)
     rows = []
     for (experiment, method, mark), group in groups.items():
         paper = paper_values().get(experiment, {}).get(method)
@@ -96,7 +96,7 @@ def _side_by_side(ordered: Sequence[Record]) -> list[str]:
     """A section with a row for each target task and seed that several methods were run on; empty without one."""
     groups: dict[tuple[str, str, str], dict[str, float]] = defaultdict(dict)
     for record in ordered:
-        groups[record.experiment, record.target, str(record.seed)][record.method] = record.success
+        groups[record.run.experiment, record.run.target, str(record.run.seed)][record.run.method] = record.success
     shared = {names: rates for names, rates in groups.items() if len(rates) > 1}
     if not shared:
         return []
@@ -130,7 +130,7 @@ def _runs(ordered: Sequence[Record]) -> list[str]:
 def _run(record: Record, measured: bool) -> list[str]:
     success = f"{record.success:.2f} ({record.low:.2f} – {record.high:.2f})"
     others = [_rate(rate) for rate in (record.before, record.source, record.proxy)]
-    names = [record.experiment, record.method, record.target, str(record.seed)]
+    names = map(str, record.run)
     return [*names, success, *others, _named(record.alignment), *[_named(record.behaviour)] * measured]
 
 

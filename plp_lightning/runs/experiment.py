@@ -26,18 +26,25 @@ PhaseFactory = Callable[[Policy], Phase[Any]]
 
 
 @dataclass(frozen=True)
+class Method:
+    """An ordered list of phases that train one policy."""
+
+    name: str
+    policy: PolicyFactory
+    phases: Mapping[str, PhaseFactory]  # By name, in the order in which they are run
+
+
+@dataclass(frozen=True)
 class Experiment:
     """Everything that a run needs, built from its configuration."""
 
     name: str
-    method: str
+    method: Method
     seed: int
     threads: int
     run_root: Path
     domains: Mapping[str, Domain]
     data: TransferDataModule
-    policy: PolicyFactory
-    phases: Mapping[str, PhaseFactory]  # By name, in the order in which they are run
     evaluation: EvaluationPlan
     score: AlignmentScore | None
     callbacks: Sequence[Callback]
@@ -47,7 +54,7 @@ class Experiment:
     @property
     def run_path(self) -> Path:
         """``<run_root>/<experiment>/<method>/<target task>/seed_<n>``."""
-        return self.run_root / self.name / self.method / self.data.target_task / f"seed_{self.seed}"
+        return self.run_root / self.name / self.method.name / self.data.target_task / f"seed_{self.seed}"
 
     @property
     def simulators(self) -> dict[str, Simulator]:
@@ -71,7 +78,7 @@ class Experiment:
 
     def build_policy(self) -> Policy:
         """The policy, untrained, for the domains, tasks and statistics of the data."""
-        return self.policy(self.data.problem)
+        return self.method.policy(self.data.problem)
 
     def evaluate(
         self,

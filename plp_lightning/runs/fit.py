@@ -88,7 +88,7 @@ def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pa
         policy = experiment.build_policy()
         if weights is not None:
             load_policy_weights(policy, weights)
-        phase = experiment.phases[name](policy)
+        phase = experiment.method.phases[name](policy)
         last = run.checkpoint(name) if run.checkpoint(name).exists() else None
         trainer = _build_trainer(experiment, run, name, phase, _step_of(last) if last else None, stopwatch)
         trainer.fit(phase, datamodule=experiment.data, ckpt_path=last, weights_only=True)
@@ -112,8 +112,8 @@ def check_method(experiment: Experiment) -> None:
     """Build the policy and all phases once, so that wrong settings show before minutes are spent on demonstrations."""
     specs = [simulator.spec(name) for name, simulator in experiment.simulators.items()]
     data = experiment.data
-    policy = experiment.policy(TransferProblem(specs, data.tasks, data.source_domain, data.target_domain))
-    for build in experiment.phases.values():
+    policy = experiment.method.policy(TransferProblem(specs, data.tasks, data.source_domain, data.target_domain))
+    for build in experiment.method.phases.values():
         build(policy)
 
 
@@ -184,7 +184,7 @@ def _step_of(checkpoint: Path) -> int:
 
 
 def _weights_before(experiment: Experiment, run: RunDirectory, name: str, origin: RunDirectory | None) -> Path | None:
-    names = list(experiment.phases)
+    names = list(experiment.method.phases)
     if name == names[0]:
         return None
     before = names[names.index(name) - 1]

@@ -28,13 +28,13 @@ COUNTED = {"success", "before", "episodes", "invalid", "interval"}
 
 def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None = None) -> dict[str, Any]:
     """Gather the phases' records, and those of the run before, ``origin``, into ``results.json``; print the table."""
-    records = {name: run.phase_record(name) for name in experiment.phases}
+    records = {name: run.phase_record(name) for name in experiment.method.phases}
     done = {name: record for name, record in records.items() if record.get("state") == "done"}
-    last, before = [*done.values()][-1], _trials_before(done, list(experiment.phases), origin)
+    last, before = [*done.values()][-1], _trials_before(done, list(experiment.method.phases), origin)
     resolved, found = yaml.safe_load(experiment.config), versions()
     results = {
         "experiment": experiment.name,
-        "method": experiment.method,
+        "method": experiment.method.name,
         "target_task": experiment.data.target_task,
         "seed": experiment.seed,
         "phases": [*done],
@@ -106,7 +106,7 @@ def _number(value: float | None) -> str:
 def log_hyperparameters(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any]) -> None:
     """Writes settings and final success rates for TensorBoard's HPARAMS page: first what tells this run from others."""
     resolved = yaml.safe_load(experiment.config)
-    names: dict[str, Any] = {"experiment": experiment.name, "method": experiment.method}
+    names: dict[str, Any] = {"experiment": experiment.name, "method": experiment.method.name}
     names |= {"target_task": experiment.data.target_task, "seed": experiment.seed}
     first = _flat(names | differing_settings(resolved))
     settings = first | {key: value for key, value in _flat(resolved).items() if key not in first}

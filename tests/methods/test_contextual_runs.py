@@ -39,7 +39,7 @@ def test_its_own_settings_win_over_the_page(study: list[str], epochs: int, pairs
     experiment = parse([*tiny_smoke(Path())[:2], *OVERLAY, *study])
     settings = yaml.safe_load(experiment.config)
     assert experiment.data.batching.pairs == pairs
-    assert list(experiment.phases) == ["alignment"]
+    assert list(experiment.method.phases) == ["alignment"]
     assert "adaptation" not in settings
     assert settings["alignment"]["init_args"]["epochs"] == epochs
     assert settings["alignment"]["init_args"]["optimizer"]["init_args"]["lr"] == 1e-3

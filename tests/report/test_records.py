@@ -31,7 +31,7 @@ def test_every_run_below_a_folder_is_read_once(tmp_path):
     path = write(tmp_path / "b" / "c", seed=1)
     (tmp_path / "a" / "status.json").write_text('{"state": "done"}')
     first, second = read_records([tmp_path, path, tmp_path / "a"])
-    assert (first.seed, second.seed) == (0, 1)
+    assert (first.run.seed, second.run.seed) == (0, 1)
     assert (first.success, first.low, first.high, first.before) == (0.5, 0.4, 0.6, 0.1)
     assert (first.proxy, first.source, first.alignment) == (0.9, None, {"top5": 0.8})
     assert first.seconds == 23.0  # collecting is another matter: the next run finds the file

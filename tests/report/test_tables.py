@@ -7,7 +7,7 @@ import json
 import pytest
 from command import METHODS, ROOT, complaint, plp
 
-from plp_lightning.report.records import Record, read_records
+from plp_lightning.report.records import Record, RunKey, read_records
 from plp_lightning.report.tables import comma_separated, markdown, paper_values
 
 PAGES = {path.stem for path in (ROOT / "configs").glob("*.yaml")}
@@ -16,7 +16,7 @@ PAGES = {path.stem for path in (ROOT / "configs").glob("*.yaml")}
 def record(method="plp", seed=0, success=0.5, experiment="r2r", target="x0y0h0", alignment=None, **further):
     scores = alignment or {"closeness": 0.5}
     return Record(
-        *(experiment, method, target, seed, success, 0.25, 0.75, 0.0, None, 1.0, scores, 60.0),
+        *(RunKey(experiment, method, target, seed), success, 0.25, 0.75, 0.0, None, 1.0, scores, 60.0),
         **{"settings": {}, **further},
     )
 
@@ -110,9 +110,10 @@ def test_the_readme_shows_means_of_the_kept_results():
         assert row in report, f"README.md: no row of docs/results/report.md is {row!r}; copy it from there"
 
 
-@pytest.mark.parametrize("record", read_records([ROOT / "docs" / "results"]), ids=lambda r: f"{r.method}-{r.target}")
+@pytest.mark.parametrize("record", read_records([ROOT / "docs" / "results"]), ids=lambda r: "-".join(r.run[1:3]))
 def test_kept_results_lie_where_their_names_say(record):
-    assert (ROOT / "docs" / "results" / record.experiment / record.method / f"{record.target}.json").is_file()
+    experiment, method, target, _ = record.run
+    assert (ROOT / "docs" / "results" / experiment / method / f"{target}.json").is_file()
 
 
 def test_mistakes_are_one_line(tmp_path):
