@@ -14,7 +14,7 @@ from filelock import FileLock
 from lightning.pytorch import LightningDataModule
 
 from datamodules.amounts import Batching, Demonstrations
-from datamodules.batches.dataset import DomainDataset, build_dataset
+from datamodules.batches.dataset import DomainDataset, build_dataset, check_values
 from datamodules.batches.images import Images, stored_images
 from datamodules.batches.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
 from datamodules.batches.normalization import Statistics
@@ -22,7 +22,7 @@ from datamodules.batches.orders import AlignmentOrder, MixOrder, NoSteps, PairOr
 from datamodules.errors import MissingTrajectoriesError
 from datamodules.problem import TransferProblem, TransferRoles
 from datamodules.settings import NonNegativeFloat
-from datamodules.store.writer import TrajectoryFile
+from datamodules.store.reader import TrajectoryFile, verify_hashes
 from datamodules.streams import Stream, generator
 from datamodules.types import Batch, BatchSpec, Collector, DomainSpec
 
@@ -106,11 +106,20 @@ class TransferDataModule(LightningDataModule):
 
     @cached_property
     def datasets(self) -> dict[str, DomainDataset]:
-        """Trajectories that this run may see, read once, by domain: states ``(N + L, O)``, actions ``(N, A)``."""
+        """Trajectories that this run may see, read once, by domain: states ``(N + L, O)``, actions ``(N, A)``.
+
+        Raises:
+            TrajectoryFileError: If the file's values are not those that were written, or none that can be trained on:
+                not finite, or actions outside [-1, 1].
+        """
+        verify_hashes(self.path)
         with TrajectoryFile.open(self.path) as file:
             chosen = {domain: self._chosen(file, domain) for domain in self.domains}
             images = stored_images(file, chosen, self.image_memory)
-            return {domain: self._read(file, domain, chosen[domain], images.get(domain)) for domain in self.domains}
+            found = {domain: self._read(file, domain, chosen[domain], images.get(domain)) for domain in self.domains}
+        for domain, dataset in found.items():
+            check_values(self.path, domain, dataset)
+        return found
 
     def _chosen(self, file: TrajectoryFile, domain: str) -> np.ndarray:
         task = file.episodes(domain).task

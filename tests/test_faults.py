@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import torch
@@ -164,18 +163,6 @@ def test_half_a_trajectory_file_is_refused(tmp_path: Path) -> None:
     for command in (["fit", *tiny_smoke(tmp_path), "--data.root", file.parent], ["data", "inspect", file]):
         assert "smoke.hdf5" in complaint(*command)
     assert file.stat().st_size == size
-
-
-@pytest.mark.parametrize("array", ["actions", "obs/position"])
-def test_values_that_are_not_finite_are_found_before_training(array: str, tmp_path: Path) -> None:
-    file = copy_of_data(tmp_path / "data")
-    with h5py.File(file, "r+") as content:
-        content[f"domains/tall/{array}"][7, 0] = np.nan
-    told = complaint("fit", *tiny_smoke(tmp_path), "--data.root", file.parent)
-    assert "of domain 'tall' hold values that are not finite; expected numbers: see plp data validate" in told
-    assert "not finite" in plp("data", "validate", file).out
-    assert "smoke.hdf5" in complaint("data", "validate", file)
-    assert smoke_run(tmp_path).status()["state"] == "failed"
 
 
 def test_values_that_are_not_finite_are_not_written(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ import shutil
 import signal
 from pathlib import Path
 
-import h5py
 import pytest
 from command import checkpoint, complaint, data_root, dies, plp, results, same, smoke_run, tiny_smoke
+from forgery import forge
 
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.metrics_file import read_rows
@@ -168,8 +168,7 @@ def test_changed_demonstrations_stop_a_resumed_run(tmp_path: Path) -> None:
     assert dies(["fit", *map(str, options)], STEP, 8, signal.SIGTERM) == 143
     run = smoke_run(tmp_path)
     weights = run.checkpoint("alignment").read_bytes()
-    with h5py.File(tmp_path / "data" / "smoke.hdf5", "r+") as file:
-        file["domains/flat/actions"][0] *= 0.5
+    forge(tmp_path / "data" / "smoke.hdf5", "domains/flat/actions", 0, 0.5)
     told = complaint("fit", "--resume", run.path)
     assert "smoke.hdf5: the demonstrations have changed" in told
     assert run.checkpoint("alignment").read_bytes() == weights

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor
 
 from datamodules.batches.images import Images
+from datamodules.errors import TrajectoryFileError
 from datamodules.types import DomainSpec, Observation, PackedTrajectories, Steps
 
 MOST_IMAGE_BYTES = 16 * 2**20  # Of images that are looked at together, outside of training
@@ -126,6 +128,24 @@ def build_dataset(
     action, task, following = map(torch.from_numpy, (actions, np.repeat(tasks, np.diff(offset)), next_row))
     observation = StoredObservation(torch.from_numpy(state), image)
     return DomainDataset(spec, observation, action, task, offset, tasks, episode_seed, following)
+
+
+def check_values(path: Path, domain: str, dataset: DomainDataset) -> None:
+    """Refuse, by a :class:`TrajectoryFileError`, values that nothing can be learned from.
+
+    These are states ``(N + L, O)`` and actions ``(N, A)`` that are not finite, and actions outside [-1, 1].
+    """
+    state, action = dataset.observation.state, dataset.action
+    faults = {
+        "observations hold values that are not finite": not torch.isfinite(state).all(),
+        "actions hold values that are not finite": not torch.isfinite(action).all(),
+        "actions lie outside [-1, 1]": bool((action.abs() > 1).any()),
+    }
+    for fault, found in faults.items():
+        if found:
+            raise TrajectoryFileError(
+                f"{path}: in domain {domain!r} {fault}; expected what a writer accepts: see plp data validate {path}"
+            )
 
 
 def thin_out(dataset: DomainDataset, episodes: np.ndarray, phase: np.ndarray, stride: int) -> PackedTrajectories:

@@ -11,12 +11,11 @@ import pytest
 import tiny
 import torch
 
-from datamodules.batches.dataset import DomainDataset
+from datamodules.batches.dataset import DomainDataset, check_values
 from datamodules.errors import TrajectoryFileError
 from datamodules.store.writer import write_trajectories
 from datamodules.transfer import TransferDataModule
 from datamodules.types import BatchSpec, Trajectory
-from plp_lightning.runs.demonstrations import check_finite
 
 
 def write(path: Path, trajectories: list[Trajectory]) -> None:
@@ -110,9 +109,8 @@ def firsts(dataset: DomainDataset) -> torch.Tensor:
 
 
 def test_a_last_observation_that_is_not_finite_is_refused(trajectory_file: Path) -> None:
-    data = tiny.data_module(trajectory_file)
-    check_finite(data)
-    dataset = data.datasets["tall"]
+    dataset = tiny.data_module(trajectory_file).datasets["tall"]
+    check_values(trajectory_file, "tall", dataset)
     dataset.observation.state[dataset.next_row.max(), 2] = torch.nan
-    with pytest.raises(TrajectoryFileError, match="observations of domain 'tall' hold values that are not finite"):
-        check_finite(data)
+    with pytest.raises(TrajectoryFileError, match="in domain 'tall' observations hold values that are not finite"):
+        check_values(trajectory_file, "tall", dataset)
