@@ -1,10 +1,12 @@
-"""Checkpoints that are complete or absent, hold plain data only and can be gone on from exactly."""
+"""Checkpoints that are complete or absent, are what was saved, hold plain data only and can be gone on from exactly."""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 import random
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,14 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from datamodules.errors import CheckpointError
 from datamodules.store.atomic import locked_folder, replacing
 
+HASH = "content_sha256"
+
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes beside the final place, syncs, then moves; Lightning's own copy can be seen half written."""
+    """Writes beside the final place, syncs, then moves; Lightning's own copy can be seen half written.
+
+    A checkpoint holds the hash of its content, for neither torch nor the disk notices a flipped bit.
+    """
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
@@ -31,7 +38,7 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         """
         final, content = Path(path), io.BytesIO()
         # torch's own writer hides why a disk refuses.
-        torch.save(checkpoint, content)
+        torch.save({**checkpoint, HASH: content_hash(checkpoint)}, content)
         try:
             final.parent.mkdir(parents=True, exist_ok=True)
             with locked_folder(final.parent), replacing(final) as temporary:
@@ -42,12 +49,42 @@ class AtomicCheckpointIO(TorchCheckpointIO):
                 "free some, then go on with plp fit --resume RUN_DIR"
             ) from None
 
+    def load_checkpoint(
+        self, path: str | os.PathLike[str], map_location: Any = None, weights_only: bool | None = None
+    ) -> dict[str, Any]:
+        """Read a checkpoint onto the processor, as :func:`read_checkpoint` does."""
+        return read_checkpoint(Path(path))
+
+
+def content_hash(value: Any) -> str:
+    """SHA-256 of plain data: tensors, by dtype, shape and bytes, and all else as Python writes it down."""
+    digest = hashlib.sha256()
+    _feed(digest.update, value)
+    return digest.hexdigest()
+
+
+def _feed(update: Callable[[bytes | memoryview], None], value: Any) -> None:
+    if isinstance(value, torch.Tensor):
+        update(f"tensor {value.dtype} {tuple(value.shape)};".encode())
+        update(value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().data)
+    elif isinstance(value, Mapping):
+        update(f"mapping {len(value)};".encode())
+        for pair in value.items():
+            _feed(update, pair)
+    elif isinstance(value, list | tuple):
+        update(f"{'list' if isinstance(value, list) else 'tuple'} {len(value)};".encode())
+        for item in value:
+            _feed(update, item)
+    else:
+        update(f"{value!r};".encode())
+
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """Load a checkpoint that holds nothing but tensors and plain data.
 
     Raises:
-        CheckpointError: If it is missing, damaged, no checkpoint of this project, or would run code.
+        CheckpointError: If it is missing, damaged, no checkpoint of this project, or would run code. Damage to a
+            checkpoint of an earlier version, which holds no hash, may go unnoticed.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint; name a run directory with checkpoints/last.ckpt in a phase")
@@ -58,6 +95,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: not a plain checkpoint ({reason}); use one written by plp fit") from None
     if not isinstance(checkpoint, dict) or not {"policy", "state_dict"} <= checkpoint.keys():
         raise CheckpointError(f"{path}: has no 'policy' and 'state_dict'; use a checkpoint written by plp fit")
+    saved = checkpoint.pop(HASH, None)
+    if saved is not None and saved != content_hash(checkpoint):
+        remedy = "restore the file, or begin a new run"
+        raise CheckpointError(f"{path}: its content does not match its hash, so the file is damaged; {remedy}")
     return checkpoint
 
 
@@ -86,6 +127,33 @@ class RandomState(Callback):
         name, keys, position, has_gauss, cached = self.loaded["numpy"]
         np.random.set_state((name, np.array(keys, dtype=np.uint32), position, has_gauss, cached))
         self.loaded = None
+
+
+class Owner(Callback):
+    """Writes into a phase's checkpoints whose they are, and takes those of no other run or phase to go on from.
+
+    Args:
+        path: The phase's last checkpoint, for messages.
+        run: Hash of the run's configuration; None if the run is older than that record.
+        phase: Name of the phase.
+    """
+
+    def __init__(self, path: Path, run: str | None, phase: str) -> None:
+        self.path, self.run, self.phase = path, run, phase
+
+    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint["owner"] = {"run": self.run, "phase": self.phase}
+
+    def on_load_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        check_owner(checkpoint, self.path, self.run, self.phase)
+
+
+def check_owner(checkpoint: Mapping[str, Any], path: Path, run: str | None, phase: str) -> None:
+    """Refuse, by a :class:`CheckpointError`, a checkpoint of another run or phase, as far as both are known."""
+    owner: Mapping[str, str | None] = checkpoint.get("owner") or {}
+    for what, found, own in (("run", owner.get("run"), run), ("phase", owner.get("phase"), phase)):
+        if found is not None and own is not None and found != own:
+            raise CheckpointError(f"{path}: is of another {what} ({found[:12]}, expected {own[:12]}); restore the file")
 
 
 class BestCheckpoint(ModelCheckpoint):

@@ -60,6 +60,7 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
         print_results(run.read_json(run.results.name), run)
         print(f"{path}: done already; nothing was changed")
         return
+    run.check_config()
     _fit(parse(["--config", str(run.config), *trusted]), run)
 
 
@@ -167,6 +168,7 @@ def _of_run(path: Path, rest: list[str], options: argparse.Namespace) -> Assessm
     if len(rest) > 2 * len(trusted):
         raise ConfigError(f"{rest[0]!r} is not accepted with a run directory, whose own configuration is used")
     run = RunDirectory.open(path)
+    run.check_config()
     experiment = parse(["--config", str(run.config), *trusted])
     if options.phase not in (None, *experiment.method.phases):
         raise ConfigError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -39,7 +40,8 @@ class RunDirectory:
             raise ConfigError(f"{path}: holds a run already (state: {state}); {remedy}")
         path.mkdir(parents=True, exist_ok=True)
         run.write_json("environment.json", environment)
-        run.write_json("status.json", {"state": "new", **(plan or {}), "phases": {}})
+        own = {"config_sha256": hashlib.sha256(config.encode()).hexdigest()}
+        run.write_json("status.json", {"state": "new", **own, **(plan or {}), "phases": {}})
         write_atomically(run.config, config)
         return run
 
@@ -55,6 +57,18 @@ class RunDirectory:
     def config(self) -> Path:
         """The resolved configuration; it reruns as it is."""
         return self.path / "config.yaml"
+
+    @property
+    def identity(self) -> str | None:
+        """Hash of the configuration that the run began with; None if it is older than that record."""
+        known = self.status().get("config_sha256")
+        return None if known is None else str(known)
+
+    def check_config(self) -> None:
+        """Refuse, by a :class:`ConfigError`, a configuration that is not the one that the run began with."""
+        if self.identity not in (None, hashlib.sha256(self.config.read_bytes()).hexdigest()):
+            remedy = "restore it, or begin a new run with plp fit --config"
+            raise ConfigError(f"{self.config}: has changed since the run began, which did not train with it; {remedy}")
 
     @property
     def results(self) -> Path:

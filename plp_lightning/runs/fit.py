@@ -18,7 +18,14 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from datamodules.errors import CheckpointError, ConfigError
 from datamodules.problem import TransferProblem
-from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, RandomState, best_and_last, read_checkpoint
+from plp_lightning.callbacks.checkpointing import (
+    AtomicCheckpointIO,
+    Owner,
+    RandomState,
+    best_and_last,
+    check_owner,
+    read_checkpoint,
+)
 from plp_lightning.callbacks.evaluation import AlignmentMetrics, SimulatorEvaluation
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
@@ -158,6 +165,7 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: 
     if plan.reconstructions > 0:
         found.append(ReconstructionPicture(plan.reconstructions))
     last, monitor = run.checkpoint(name), phase.monitor if experiment.data.val_fraction > 0 else None
+    found.append(Owner(last, run.identity, name))
     return [*found, PhaseProgress(name), Preemption(last), *best_and_last(last.parent, monitor)]
 
 
@@ -190,7 +198,11 @@ def _weights_before(experiment: Experiment, run: RunDirectory, name: str, origin
     before = names[names.index(name) - 1]
     giver = run if run.checkpoint(before).exists() or origin is None else origin
     weights = giver.checkpoint(before)
-    read_checkpoint(weights)
+    check_owner(read_checkpoint(weights), weights, giver.identity, before)
     digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    begun_with = run.phase_record(name).get("from_sha256", digest)
+    if begun_with != digest:
+        remedy = "restore it, or begin a new run"
+        raise CheckpointError(f"{weights}: is not the checkpoint that phase {name} of {run.path} began with; {remedy}")
     run.update_status("running", name, {"from": str(weights), "from_sha256": digest})
     return weights

@@ -1,0 +1,114 @@
+"""A checkpoint whose content is not what was saved is never used."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+from command import complaint, plp, results, same, smoke_run, tiny_smoke
+
+from datamodules.errors import CheckpointError
+from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, content_hash, read_checkpoint
+from plp_lightning.runs.directory import RunDirectory
+
+METHODS = ["plp_t", "cdil", "contextual"]
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    """A run of a method, with checkpoints after training steps of all kinds."""
+    root = tmp_path_factory.mktemp("finished")
+    overlay = Path(__file__).parents[2] / "configs" / "methods" / f"{request.param}.yaml"
+    answer = plp("fit", *tiny_smoke(root), "--config", overlay)
+    assert answer.code == 0, answer
+    return smoke_run(root, request.param)
+
+
+def test_any_flipped_bit_is_refused_or_changes_nothing(finished: RunDirectory, tmp_path: Path) -> None:
+    file = finished.checkpoint("alignment")
+    saved, whole = read_checkpoint(file), file.read_bytes()
+    draw, refused = random.Random(0), 0
+    for _ in range(150):
+        damaged = bytearray(whole)
+        damaged[draw.randrange(len(whole))] ^= 1 << draw.randrange(8)
+        copy = tmp_path / "last.ckpt"
+        copy.write_bytes(damaged)
+        try:
+            found = read_checkpoint(copy)
+        except CheckpointError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+            refused += 1
+        else:
+            assert same(found, saved)
+    assert refused > 100
+
+
+def test_every_tensor_and_number_counts(finished: RunDirectory) -> None:
+    saved = read_checkpoint(finished.checkpoint("alignment"))
+    own = content_hash(saved)
+    assert content_hash(saved | {"global_step": saved["global_step"] + 1}) != own
+    name, weight = next(iter(saved["state_dict"].items()))
+    nudged = weight.clone()
+    nudged.view(-1)[0] = torch.nextafter(nudged.view(-1)[0], torch.tensor(torch.inf))
+    assert content_hash(saved | {"state_dict": {**saved["state_dict"], name: nudged}}) != own
+    assert content_hash(saved | {"state_dict": {**saved["state_dict"], name: weight.double()}}) != own
+
+
+@pytest.mark.parametrize("verb", ["fit", "test", "validate", "predict"])
+def test_no_command_uses_a_damaged_checkpoint(verb: str, finished: RunDirectory, tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "run")
+    shutil.copytree(finished.path, run.path)
+    last = [*run.status()["phases"]][-1]
+    run.results.unlink()
+    status = run.status()
+    phases = status["phases"] | {last: status["phases"][last] | {"state": "running"}}
+    run.write_json("status.json", status | {"state": "running", "phases": phases})
+    _flip_a_weight(run.checkpoint(last))
+    told = complaint(verb, *(["--resume"] if verb == "fit" else []), run.path)
+    assert f"{last}/checkpoints/last.ckpt: its content does not match its hash" in told
+    assert not run.results.exists()
+
+
+def test_checkpoints_of_earlier_versions_have_no_hash_and_are_read(tmp_path: Path) -> None:
+    content = {"policy": {}, "state_dict": {"w": torch.arange(3.0)}}
+    torch.save(content, tmp_path / "old.ckpt")
+    assert same(read_checkpoint(tmp_path / "old.ckpt"), content)
+
+
+def test_all_dtypes_have_hashes() -> None:
+    values = [torch.ones(3, dtype=dtype) for dtype in (torch.bfloat16, torch.float16, torch.bool, torch.int64)]
+    scalars = [torch.tensor(1.5), torch.zeros(0, 4), torch.ones(4, 6).T]
+    assert len({content_hash(value) for value in (*values, *scalars)}) == 7
+    assert content_hash([1, 2]) != content_hash((1, 2)) != content_hash([12])
+
+
+def test_what_is_loaded_to_go_on_is_checked_too(tmp_path: Path) -> None:
+    content = {"policy": {}, "state_dict": {"w": torch.arange(100.0)}}
+    AtomicCheckpointIO().save_checkpoint(content, tmp_path / "last.ckpt")
+    assert same(AtomicCheckpointIO().load_checkpoint(tmp_path / "last.ckpt"), content)
+    _flip_a_weight(tmp_path / "last.ckpt")
+    with pytest.raises(CheckpointError, match="does not match its hash"):
+        AtomicCheckpointIO().load_checkpoint(tmp_path / "last.ckpt")
+
+
+def _flip_a_weight(file: Path) -> None:
+    """Flip the lowest bit of the largest tensor's middle byte, which torch reads without a word."""
+    with zipfile.ZipFile(file) as archive:
+        tensors = [member for member in archive.infolist() if "/data/" in member.filename]
+        largest = max(tensors, key=lambda member: member.file_size)
+        stored = archive.read(largest)
+    whole = bytearray(file.read_bytes())
+    whole[whole.index(stored) + len(stored) // 2] ^= 1
+    file.write_bytes(whole)
+
+
+def test_a_finished_run_is_what_it_was(finished: RunDirectory, tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "run")
+    shutil.copytree(finished.path, run.path)
+    run.results.unlink()
+    assert plp("fit", "--resume", run.path).code == 0
+    assert results(run) == results(finished)
