@@ -70,7 +70,9 @@ def test_a_metric_of_ones_own_takes_a_class_and_an_overlay(tmp_path: Path, monke
     assert "action change" in answer.out
     for trial in ("target", "source", "proxy", "proxy_source"):
         assert results[trial]["action_change"] > 0
-    assert "eval/target_action_change" in (run.phase("alignment") / "metrics.csv").read_text()
+    curves = (run.phase("alignment") / "metrics.csv").read_text()
+    assert "eval/target_action_change" in curves
+    assert "final/target_action_change" in curves
     tested = plp("test", run.path, "--allow_imports", "action_change")
     assert tested.code == 0, tested
     again = json.loads((run.path / "test.json").read_text())["trials"]

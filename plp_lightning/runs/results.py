@@ -104,13 +104,18 @@ def _number(value: float | None) -> str:
 
 
 def log_hyperparameters(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any]) -> None:
-    """Writes settings and final success rates for TensorBoard's HPARAMS page: first what tells this run from others."""
+    """Writes settings and final outcomes for TensorBoard's HPARAMS page, first what tells this run from others."""
     resolved = yaml.safe_load(experiment.config)
     names: dict[str, Any] = {"experiment": experiment.name, "method": experiment.method.name}
     names |= {"target_task": experiment.data.target_task, "seed": experiment.seed}
     first = _flat(names | differing_settings(resolved))
     settings = first | {key: value for key, value in _flat(resolved).items() if key not in first}
-    metrics = {f"final/{name}_success": outcome["success"] for name, outcome in record["trials"].items()}
+    metrics = {
+        f"final/{name}_{measure}": value
+        for name, outcome in record["trials"].items()
+        for measure, value in outcome.items()
+        if measure == "success" or measure not in COUNTED
+    }
     metrics |= {f"final/{name}": value for name, value in record["alignment"].items()}
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):
