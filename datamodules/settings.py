@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     NonNegativeFloat: TypeAlias = float
     Share: TypeAlias = float
     Fraction: TypeAlias = float
+    Seed: TypeAlias = int
+    Threads: TypeAlias = int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +66,8 @@ if not TYPE_CHECKING:
     NonNegativeInt = _bounded("NonNegativeInt", Bound(int, "a whole number, at least 0", lambda n: n >= 0))
     PositiveFloat = _bounded("PositiveFloat", Bound(float, "a number above 0", lambda x: 0 < x < math.inf))
     NonNegativeFloat = _bounded("NonNegativeFloat", Bound(float, "a number, at least 0", lambda x: 0 <= x < math.inf))
+    Seed = _bounded("Seed", Bound(int, "a whole number from 0 to 4294967295", lambda n: 0 <= n < 1 << 32))
+    Threads = _bounded("Threads", Bound(int, "a whole number from 1 to 1024", lambda n: 1 <= n <= 1024))
     Share = _bounded("Share", Bound(float, "a share from 0 to 1", lambda x: 0 <= x <= 1))
     Fraction = _bounded("Fraction", Bound(float, "a share from 0 to below 1", lambda x: 0 <= x < 1))
 
@@ -115,6 +119,8 @@ def _check_bounds(place: str, hint: Any, value: Any) -> None:
     parts = get_args(hint)
     if hint in BOUNDS:
         _check_number(place, hint, value)
+    elif value is None and not _may_be_none(hint):
+        raise ConfigError(f"{place} is null; expected a value; change it or leave it away")
     elif get_origin(hint) in (Union, types.UnionType):
         for option in parts if value is not None or types.NoneType not in parts else ():
             _check_bounds(place, option, value)
@@ -124,6 +130,16 @@ def _check_bounds(place: str, hint: Any, value: Any) -> None:
     elif isinstance(value, Sequence) and not isinstance(value, str) and parts:
         for item in value:
             _check_bounds(place, parts[0], item)
+
+
+def _may_be_none(hint: Any) -> bool:
+    """True where a type is unknown or says so; the parser takes null for arguments of any type."""
+    union = get_origin(hint) in (Union, types.UnionType)
+    return (
+        hint in (None, Any, object, types.NoneType)
+        or isinstance(hint, TypeVar)
+        or (union and types.NoneType in get_args(hint))
+    )
 
 
 def _check_number(place: str, bound: Any, value: Any) -> None:

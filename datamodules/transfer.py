@@ -21,7 +21,7 @@ from datamodules.batches.normalization import Statistics
 from datamodules.batches.orders import AlignmentOrder, MixOrder, NoSteps, PairOrder, TaskwiseOrder
 from datamodules.errors import MissingTrajectoriesError
 from datamodules.problem import TransferProblem, TransferRoles
-from datamodules.settings import NonNegativeFloat
+from datamodules.settings import NonNegativeFloat, Seed
 from datamodules.store.reader import TrajectoryFile, verify_hashes
 from datamodules.streams import Stream, generator
 from datamodules.types import Batch, BatchSpec, Collector, DomainSpec
@@ -52,7 +52,7 @@ class TransferDataModule(LightningDataModule):
         roles: TransferRoles,
         demonstrations: Demonstrations,
         batching: Batching,
-        seed: int = 0,
+        seed: Seed = 0,
         image_memory: NonNegativeFloat = 4.0,
         collector: Collector | None = None,
     ) -> None:

@@ -1,7 +1,8 @@
 """Run directories and demonstrations of version 0.1.0 go on, are tested and loaded, though names have changed since.
 
 ``tests/old_runs`` holds runs on the smoke page with ``tests/conf/tiny.yaml`` as that version left them: two that were
-finished, and four that were stopped in the middle of a phase.
+finished, and four that were stopped in the middle of a phase. Their checkpoints were saved again with relative paths in
+the place of absolute ones, and ``from_sha256`` is of what is here.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from lightning.pytorch import Callback, Trainer
 from datamodules.amounts import DataSettings
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferRoles
-from datamodules.settings import NonNegativeInt, PositiveInt
+from datamodules.settings import PositiveInt, Seed, Threads
 from datamodules.transfer import TransferDataModule
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
@@ -140,8 +140,8 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     parser.add_argument("--allow_imports", type=str | None, help="package of yours whose classes configs may name")
     parser.add_argument("--experiment", type=str | None, help="name; the first config's file name if not given")
     parser.add_argument("--method", type=str, help="name of the method, for the run directory")
-    parser.add_argument("--seed", type=NonNegativeInt, default=0, help="seed of weights, batches and evaluation")
-    parser.add_argument("--threads", type=PositiveInt, default=1, help="threads of torch; simulators use all cores")
+    parser.add_argument("--seed", type=Seed, default=0, help="seed of weights, batches and evaluation")
+    parser.add_argument("--threads", type=Threads, default=1, help="threads of torch; simulators use all cores")
     parser.add_argument("--run_root", type=str, default="runs", help="where run directories go")
     parser.add_argument("--domains", type=dict[str, Domain], help="simulator and expert of each domain")
     parser.add_class_arguments(DataSettings, "data")
@@ -172,6 +172,8 @@ def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[st
     for names in lists:
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
             raise ConfigError(f"phases is {names!r}; expected a list of names, such as [alignment, adaptation]")
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ConfigError(f"phases names {twice[0]!r} twice; expected each phase once")
     return list(dict.fromkeys(name for names in lists for name in names))
 
 

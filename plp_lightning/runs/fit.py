@@ -46,6 +46,7 @@ from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.runs.versions import commit
 
+COUNTS = ("log_every_n_steps", "accumulate_grad_batches", "check_val_every_n_epoch")  # Lightning divides by them
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
     r"The number of training batches .* is smaller than the logging interval",
@@ -109,6 +110,13 @@ def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pa
 def check_trainer(experiment: Experiment) -> None:
     """Refuse, by a :class:`ConfigError`, ``trainer`` settings that Lightning won't accept, before writing anything."""
     quiet_lightning()
+    for name in COUNTS:
+        if experiment.trainer.get(name) is not None and experiment.trainer[name] < 1:
+            raise ConfigError(f"trainer.{name} is {experiment.trainer[name]}; expected a whole number, at least 1")
+    devices, strategy = experiment.trainer.get("devices"), experiment.trainer.get("strategy")
+    if devices not in (1, "1", "auto", None) or strategy not in ("auto", None):
+        told = f"trainer.devices is {devices} and trainer.strategy {strategy}"
+        raise ConfigError(f"{told}; expected 1 and auto: a run uses one device; start several runs side by side")
     try:
         Trainer(**experiment.trainer, logger=False, enable_checkpointing=False, enable_progress_bar=False)
     except (MisconfigurationException, ValueError) as error:
