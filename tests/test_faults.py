@@ -63,8 +63,8 @@ def interrupted(finished: RunDirectory, tmp_path: Path) -> RunDirectory:
         ("--alignment.optimizer.lr .nan", "alignment.optimizer.lr is .nan; expected a number, at least 0; change it"),
         ("--phases [alignmnt]", "phases names 'alignmnt', which nothing sets up; set alignmnt.class_path, or name: "),
         ("--phases [a", "phases is '[a'; expected a list of names"),
-        ("--seed -1", "seed is -1; expected a whole number, at least 0; change it"),
-        ("--threads 0", "threads is 0; expected a whole number, at least 1; change it"),
+        ("--seed -1", "seed is -1; expected a whole number from 0 to 4294967295; change it"),
+        ("--threads 0", "threads is 0; expected a whole number from 1 to 1024; change it"),
         ("--data.batch_size 0", "data.batch_size is 0; expected a whole number, at least 1; change it"),
         ("--data.val_fraction 1", "data.val_fraction is 1; expected a share from 0 to below 1; change it"),
         (
