@@ -57,8 +57,9 @@ def read_within(path: Path, answers: multiprocessing.queues.Queue[str]) -> None:
         used = next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmData"))
     resource.setrlimit(resource.RLIMIT_DATA, (used + ALLOWANCE, used + ALLOWANCE))
     for image_memory in (PLENTY, LITTLE):
-        answers.put(_attempt(path, image_memory))
-        gc.collect()  # a traceback holds what had been read before it
+        answer = _attempt(path, image_memory)
+        gc.collect()  # a traceback holds what had been read before it; answering takes memory for a thread
+        answers.put(answer)
 
 
 def _attempt(path: Path, image_memory: float) -> str:
