@@ -1,4 +1,4 @@
-"""What it saves to encode fixed data once: adaptation steps with cached latents against a naive loop.
+"""The time saved by encoding fixed data once: adaptation steps with cached latents against a naive loop.
 
 Both run in turns in this process; figures are CPU seconds of one thread.
 Run: python benchmarks/adaptation_step.py [--batch_size 512] [--steps 100]

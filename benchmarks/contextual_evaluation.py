@@ -1,4 +1,4 @@
-"""How long the contextual policy takes for its episodes, and what its key-value cache saves.
+"""The time that the contextual policy takes for its episodes, and what its key-value cache saves.
 
 Run from the repository: ``python benchmarks/contextual_evaluation.py [--episodes 100] [--threads 2]``. The policy has
 the paper's size and random weights, the maze is PointMaze medium with 400 steps; no episode ends early. Every task's
@@ -41,7 +41,7 @@ def policy_of(maze: PointMaze) -> ContextualPolicy:
 
 @torch.inference_mode()
 def seconds_without_cache(policy: ContextualPolicy, tasks: list[str], steps: int) -> float:
-    """Of the last of so many steps, if it reads everything again."""
+    """Time of the last of so many steps, if it reads everything again."""
     count = len(tasks)
     shown = policy.prompts.of(torch.tensor([policy.tasks[task] for task in tasks]))
     frame = torch.arange(count * steps).view(count, steps)

@@ -1,4 +1,4 @@
-"""How fast R2R-Lift steps, beside robosuite's own loop and bare physics, and how often the expert succeeds.
+"""The speed at which R2R-Lift steps, beside robosuite's own loop and bare physics, and how often the expert succeeds.
 
 Run from the repository: ``python benchmarks/lift_stepping.py [--steps 1500] [--episodes 4]``. All ways of
 stepping take turns on the same states and actions, so that a busy machine slows all of them alike.

@@ -1,4 +1,4 @@
-"""How fast the mazes step, beside bare ``mj_step`` on the same states and Gymnasium-Robotics one by one.
+"""The speed at which the mazes step, beside bare ``mj_step`` on the same states and Gymnasium-Robotics one by one.
 
 Run from the repository: ``python benchmarks/maze_stepping.py [--episodes 100]``. Actions are random; no episode
 ends early. The three ways of stepping take turns every few steps, so that a busy machine slows all of them alike.
@@ -73,7 +73,7 @@ def measure(name: str, episodes: int) -> str:
 
 
 def ratio(slow: np.ndarray, ours: np.ndarray) -> str:
-    """How many times as long the slow way takes."""
+    """Time of the slow way in times of the fast one."""
     return "{:.2f}x ({:.2f}x processor time)".format(*slow / ours)
 
 

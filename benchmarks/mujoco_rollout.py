@@ -1,4 +1,4 @@
-"""Whether ``mujoco.rollout`` could step the mazes: how fast it is beside this project's engine, and what it changes.
+"""A test whether ``mujoco.rollout`` could step the mazes: its speed beside this project's engine, and what it changes.
 
 Run from the repository: ``python benchmarks/mujoco_rollout.py [--episodes 100] [--steps 200]``. Both are called once
 for each control step, on as many threads, and take turns, so that a busy machine slows both alike.

@@ -1,4 +1,4 @@
-"""How fast V2V is drawn, beside ``mujoco.Renderer`` at its defaults on the shipped scene.
+"""The speed at which V2V is drawn, beside ``mujoco.Renderer`` at its defaults on the shipped scene.
 
 Run from the repository: ``python benchmarks/rendering.py [--frames 40]``. All ways of drawing take turns on the same
 states, so that a busy machine slows all of them alike; seconds are the processor's, on one thread.

@@ -1,4 +1,4 @@
-"""Whether two checkouts train the same weights, bit for bit: each method on the smoke page, phase by phase.
+"""A test whether two checkouts train the same weights, bit for bit: each method on the smoke page, phase by phase.
 
     python benchmarks/same_weights.py OTHER_CHECKOUT [--steps 50] [--methods plp plp_t …]
 

@@ -1,4 +1,4 @@
-"""What `plp fit` costs on top of a plain PyTorch loop over the same steps, and where a step's time goes.
+"""The cost of `plp fit` on top of a plain PyTorch loop over the same steps, and where a step's time goes.
 
 Both run in this process on the same synthetic tables, in turns; figures are CPU seconds of one thread, so a
 busy machine changes them little. Defaults are the sizes of R2R-Lift; those of P2A-medium: --batch_size 256 --pairs 64

@@ -1,4 +1,4 @@
-"""What a step of alignment with images costs: batch 64, 64x64 pixels, the paper's networks, MMD and reconstruction.
+"""The cost of a step of alignment with images: batch 64, 64x64 pixels, the paper's networks, MMD and reconstruction.
 
 A plain PyTorch loop stands beside the Alignment phase under a Trainer with this project's callbacks. The plain loop
 does what comes first to mind: float images in memory order (B, C, H, W), a pass through the encoder for each domain.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import yaml
@@ -11,6 +12,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from rich.console import Console
 from rich.table import Table
 
+from plp_lightning.evaluation.simulation import Outcome
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.settings import config_hash, differing_settings
@@ -22,7 +24,7 @@ ROWS = {
     "proxy": "proxy tasks in target domain",
     "proxy_source": "proxy tasks in source domain",
 }
-COUNTED = {"success", "before", "episodes", "invalid", "interval"}
+COUNTED = {field.name for field in fields(Outcome)} - {"behaviour"} | {"before"}
 """Keys of every outcome; others are measures of behaviour, and each is a column of its own."""
 
 

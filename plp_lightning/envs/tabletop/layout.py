@@ -1,4 +1,4 @@
-"""What an episode on the table begins with."""
+"""The beginning of an episode on the table."""
 
 from __future__ import annotations
 
