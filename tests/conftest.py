@@ -20,7 +20,7 @@ from lightning.pytorch import Callback, Trainer
 
 from datamodules.store.writer import write_trajectories
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO
-from plp_lightning.runs.fit import quiet_lightning
+from plp_lightning.runs.trainer import quiet_lightning
 
 torch.set_num_threads(1)
 settings.register_profile("plp", deadline=None, derandomize=True, database=None)

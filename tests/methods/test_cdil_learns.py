@@ -15,7 +15,7 @@ from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.evaluation.simulation import EvalSetting, evaluate
 from plp_lightning.methods import CdilAdaptation, CdilAlignment, CdilDynamics, CdilPolicy, CdilPositions, Phase
-from plp_lightning.runs.fit import quiet_lightning
+from plp_lightning.runs.trainer import quiet_lightning
 
 Learned = tuple[CdilPolicy, TransferDataModule]
 
