@@ -9,17 +9,11 @@ from typing import Any
 
 from lightning.pytorch import Callback, LightningModule, Trainer
 
-
-class PreemptedError(Exception):
-    """The process was asked to stop by a signal of that number, and has saved where it stands."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(f"stopped by {signal.Signals(number).name}")
-        self.exit_code = 128 + number
+from plp_lightning.stopping import PreemptedError, listen
 
 
 class Preemption(Callback):
-    """Turns SIGTERM and SIGINT into a ``checkpoint`` and an exit code that schedulers understand.
+    """Turns a signal that asks to stop into a ``checkpoint`` and an exit code that schedulers understand.
 
     It saves at a step's end and leaves before the next step, when the one before has been logged, or after the last
     epoch, which has saved itself.
@@ -33,8 +27,7 @@ class Preemption(Callback):
         self.previous: dict[int, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            self.previous[number] = signal.signal(number, self._notice)
+        self.previous = listen(self._notice)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int

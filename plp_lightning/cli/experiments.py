@@ -20,7 +20,6 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import check_method, fit
 from plp_lightning.runs.results import print_results, print_success
-from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.trainer import check_trainer
 from plp_lightning.runs.versions import versions
 
@@ -113,8 +112,7 @@ def run_collect(arguments: Sequence[str]) -> None:
         _train_expert(experiment, options)
         return
     missing = sum(sum(tasks.values()) for tasks in experiment.data.missing().values())
-    with stoppable():
-        experiment.data.prepare_data()
+    experiment.data.prepare_data()
     print(f"{experiment.data.path}: {f'{missing} demonstrations collected' if missing else 'complete'}")
 
 

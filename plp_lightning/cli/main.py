@@ -5,11 +5,13 @@ from __future__ import annotations
 import difflib
 import importlib
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from datamodules.errors import ConfigError, UserError
+from plp_lightning.stopping import PreemptedError, stoppable
 
 VERBS = {
     "fit": ("plp_lightning.cli.experiments:run_fit", "train every phase of a method, evaluate, report"),
@@ -46,20 +48,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Several runs at once must not fight for cores; set before any library starts its threads.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     try:
-        find_verb(words[0])(words[1:])
+        with stoppable():
+            find_verb(words[0])(words[1:])
     except UserError as error:
         _leave(" ".join(str(error).split()), 2)
     except OSError as error:
         # What the file system refused, and where: a full disk, say, or a folder that may not be written.
         place, reason = f"{error.filename}: " if error.filename else "", error.strerror or error
         _leave(f"{place}{reason}; expected a place that can be read and written: free or name another", 2)
-    except KeyboardInterrupt:
-        _leave(f"stopped; go on with {way_on}", 130)
-    except Exception as error:
-        # Asked to stop by a signal: the state is saved, and a scheduler reads the exit code.
-        if not hasattr(error, "exit_code"):
-            raise
+    except PreemptedError as error:
         _leave(f"{error}; go on with {way_on}", error.exit_code)
+    except Exception as error:
+        if not _out_of_memory(error):
+            raise
+        _leave(f"out of memory ({_first_line(error)}); expected less: try smaller batches or sizes, then {way_on}", 2)
+
+
+def _out_of_memory(error: Exception) -> bool:
+    """Python, numpy, torch and CUDA each have their own way to say it."""
+    said = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+    return said or re.search("can't allocate memory|not enough memory|bad_alloc|out of memory", str(error)) is not None
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 def _leave(message: str, code: int) -> NoReturn:

@@ -22,10 +22,10 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.results import log_hyperparameters, write_results
-from plp_lightning.runs.stopping import stoppable
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.runs.trainer import build_trainer
 from plp_lightning.runs.versions import commit
+from plp_lightning.stopping import PreemptedError
 
 
 def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: RunDirectory | None = None) -> None:
@@ -37,7 +37,7 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     torch.set_num_threads(experiment.threads)
     commit()  # as it is now: the checkout may change until the results are written
     run.update_status("running")
-    with _failures_noted(run), stoppable():
+    with _failures_noted(run):
         prepare_demonstrations(experiment, run)
         for name in phases:
             if run.phase_record(name).get("state") != "done":
@@ -51,7 +51,7 @@ def _failures_noted(run: RunDirectory) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        run.update_status("preempted" if hasattr(error, "exit_code") else "failed")
+        run.update_status("preempted" if isinstance(error, PreemptedError | KeyboardInterrupt) else "failed")
         raise
 
 

@@ -15,7 +15,6 @@ from datamodules.errors import UserError
 from datamodules.store.writer import TrajectoryFile, write_trajectories
 from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
-from plp_lightning.callbacks.preemption import PreemptedError
 from plp_lightning.envs.base import Domain, Expert, Simulator, Step
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
@@ -23,6 +22,7 @@ from plp_lightning.runs import collection
 from plp_lightning.runs.collection import ExpertCollector, Job, demonstrate
 from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
+from plp_lightning.stopping import PreemptedError
 
 RECIPE = CollectionConfig(processes=1, noise=0.2)
 IDLE = LinearPointExpert(gain=0.0)

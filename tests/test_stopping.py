@@ -5,11 +5,10 @@ import signal
 
 import pytest
 
-from plp_lightning.callbacks.preemption import PreemptedError
-from plp_lightning.runs.stopping import stoppable
+from plp_lightning.stopping import SIGNALS, PreemptedError, stoppable
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_leaves_the_block_with_its_exit_code_and_the_old_handler(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with pytest.raises(PreemptedError, match=f"stopped by {number.name}") as found, stoppable():
@@ -23,3 +22,21 @@ def test_a_block_without_a_signal_changes_nothing() -> None:
     with stoppable():
         assert signal.getsignal(signal.SIGTERM) is not before[0]
     assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)] == before
+
+
+def test_a_signal_that_the_parent_process_ignores_stays_ignored() -> None:
+    """As nohup asks for."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stoppable():
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_whoever_survives_the_errors_of_others_does_not_survive_a_signal() -> None:
+    with pytest.raises(PreemptedError), stoppable():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except Exception:
+            pytest.fail("swallowed")
