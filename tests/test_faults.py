@@ -202,7 +202,8 @@ def test_damaged_checkpoints_are_named(interrupted: RunDirectory) -> None:
     torch.save({"weights": 1}, file)
     assert "has no 'policy' and 'state_dict'" in complaint("fit", "--resume", interrupted.path)
     torch.save({**content, "state_dict": {}}, file)
-    assert "is of another policy (" in complaint("fit", "--resume", interrupted.path)
+    assert "is not what phase alignment left" in complaint("fit", "--resume", interrupted.path)
+    assert "is of another policy (" in complaint("test", interrupted.path)
     interrupted.update_status("running", "alignment", {"state": "running"})
     torch.save({"policy": {}, "state_dict": {}}, file)
     assert "holds weights alone" in complaint("fit", "--resume", interrupted.path)
@@ -215,8 +216,8 @@ def test_damaged_checkpoints_are_named(interrupted: RunDirectory) -> None:
     [
         ("{", "status.json: is no JSON ("),
         ("[]", "status.json: holds a list; expected an object"),
-        ('{"phases": 3}', "status.json: 'phases' is 3; expected a record for each phase"),
-        ('{"phases": {"alignment": 3}}', "expected a record for each phase"),
+        ('{"phases": 3}', "status.json: phases is 3; expected what plp fit writes ("),
+        ('{"phases": {"alignment": 3}}', "status.json: phases.alignment is 3; expected what plp fit writes ("),
     ],
 )
 def test_damaged_status_is_named_and_kept(text: str, told: str, interrupted: RunDirectory) -> None:

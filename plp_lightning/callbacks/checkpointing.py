@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import os
@@ -20,6 +21,7 @@ from datamodules.errors import CheckpointError
 from datamodules.store.atomic import locked_folder, replacing
 
 HASH = "content_sha256"
+LAST = "last.ckpt"
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
@@ -43,6 +45,8 @@ class AtomicCheckpointIO(TorchCheckpointIO):
             final.parent.mkdir(parents=True, exist_ok=True)
             with locked_folder(final.parent), replacing(final) as temporary:
                 temporary.write_bytes(content.getbuffer())
+                if final.name == LAST and final.exists():
+                    _keep(final)
         except OSError as error:
             raise CheckpointError(
                 f"{final}: can't be written ({error.strerror}); expected room for {content.tell()} bytes: "
@@ -56,6 +60,19 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         return read_checkpoint(Path(path))
 
 
+def previous_checkpoint(last: Path) -> Path:
+    """Place of the checkpoint before the last one of a phase that is not done: it takes over if that is damaged."""
+    return last.with_name(f"{last.name}.previous")
+
+
+def _keep(last: Path) -> None:
+    """Let the last checkpoint be the one before: a second name, so that nothing is copied."""
+    previous = previous_checkpoint(last)
+    previous.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # a file system without such links keeps none
+        os.link(last, previous)
+
+
 def content_hash(value: Any) -> str:
     """SHA-256 of plain data: tensors, by dtype, shape and bytes, and all else as Python writes it down."""
     digest = hashlib.sha256()
@@ -65,6 +82,8 @@ def content_hash(value: Any) -> str:
 
 def _feed(update: Callable[[bytes | memoryview], None], value: Any) -> None:
     if isinstance(value, torch.Tensor):
+        if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+            raise CheckpointError(f"a tensor of shape {tuple(value.shape)} is larger than what is stored of it")
         update(f"tensor {value.dtype} {tuple(value.shape)};".encode())
         update(value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().data)
     elif isinstance(value, Mapping):
@@ -95,9 +114,12 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: not a plain checkpoint ({reason}); use one written by plp fit") from None
     if not isinstance(checkpoint, dict) or not {"policy", "state_dict"} <= checkpoint.keys():
         raise CheckpointError(f"{path}: has no 'policy' and 'state_dict'; use a checkpoint written by plp fit")
-    saved = checkpoint.pop(HASH, None)
-    if saved is not None and saved != content_hash(checkpoint):
-        remedy = "restore the file, or begin a new run"
+    saved, remedy = checkpoint.pop(HASH, None), "restore the file, or begin a new run"
+    try:
+        matching = saved in (None, content_hash(checkpoint))
+    except CheckpointError as error:
+        raise CheckpointError(f"{path}: {error}; {remedy}") from None
+    if not matching:
         raise CheckpointError(f"{path}: its content does not match its hash, so the file is damaged; {remedy}")
     return checkpoint
 
@@ -113,7 +135,8 @@ class RandomState(Callback):
 
     def state_dict(self) -> dict[str, Any]:
         name, keys, *rest = np.random.get_state(legacy=True)
-        return {"torch": torch.get_rng_state(), "python": random.getstate(), "numpy": (name, keys.tolist(), *rest)}  # type: ignore[union-attr]
+        state = {"torch": torch.get_rng_state(), "python": random.getstate(), "numpy": (name, keys.tolist(), *rest)}  # type: ignore[union-attr]
+        return state | ({"cuda": torch.cuda.get_rng_state()} if torch.cuda.is_initialized() else {})
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self.loaded = state_dict
@@ -122,6 +145,8 @@ class RandomState(Callback):
         if self.loaded is None:
             return
         torch.set_rng_state(self.loaded["torch"])
+        if "cuda" in self.loaded and torch.cuda.is_initialized():
+            torch.cuda.set_rng_state(self.loaded["cuda"])
         version, internal, gauss = self.loaded["python"]
         random.setstate((version, tuple(internal), gauss))
         name, keys, position, has_gauss, cached = self.loaded["numpy"]
@@ -143,6 +168,8 @@ class Owner(Callback):
 
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         checkpoint["owner"] = {"run": self.run, "phase": self.phase}
+        # What has ended before its last epoch, by a callback or a time limit, must not go on when it is resumed.
+        checkpoint["stopped"] = trainer.should_stop and trainer.fit_loop._can_stop_early
 
     def on_load_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         check_owner(checkpoint, self.path, self.run, self.phase)

@@ -57,10 +57,10 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
         remedy = "drop all options but --allow_imports"
         raise ConfigError(f"--resume goes on with the configuration in {run.config}; {remedy}")
     if run.status()["state"] == "done" and run.results.exists():
-        print_results(run.read_json(run.results.name), run)
+        print_results(run.read_results(), run)
         print(f"{path}: done already; nothing was changed")
         return
-    run.check_config()
+    run.check_begun()
     _fit(parse(["--config", str(run.config), *trusted]), run)
 
 
@@ -72,8 +72,12 @@ def _trusted(rest: Sequence[str]) -> list[str]:
 def _fit(experiment: Experiment, run: RunDirectory) -> None:
     status = run.status()
     origin = RunDirectory.open(Path(status["origin"])) if status.get("origin") else None
+    wanted = status.get("wanted") or list(experiment.method.phases)
+    if unknown := [name for name in wanted if name not in experiment.method.phases]:
+        told = f"{run.path / 'status.json'}: wants phase {unknown[0]!r}"
+        raise ConfigError(f"{told}; the phases of {run.config} are {', '.join(experiment.method.phases)}")
     with run.locked():
-        fit(experiment, run, status.get("wanted") or list(experiment.method.phases), origin)
+        fit(experiment, run, wanted, origin)
 
 
 def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> list[str]:
@@ -95,7 +99,9 @@ def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> li
 
 def _check_origin(experiment: Experiment, path: Path) -> None:
     """A policy that was aligned on other tasks may have seen the target task in the target domain."""
-    found, wanted = parse(["--config", str(RunDirectory.open(path).config)]).data, experiment.data
+    origin = RunDirectory.open(path)
+    origin.check_begun()
+    found, wanted = parse(["--config", str(origin.config)]).data, experiment.data
     if found.proxy_tasks != wanted.proxy_tasks:
         told = f"is aligned on {', '.join(found.proxy_tasks)} (for target {found.target_task!r})"
         asked = f"target {wanted.target_task!r} asks for {', '.join(wanted.proxy_tasks)}"
@@ -167,7 +173,7 @@ def _of_run(path: Path, rest: list[str], options: argparse.Namespace) -> Assessm
     if len(rest) > 2 * len(trusted):
         raise ConfigError(f"{rest[0]!r} is not accepted with a run directory, whose own configuration is used")
     run = RunDirectory.open(path)
-    run.check_config()
+    run.check_begun()
     experiment = parse(["--config", str(run.config), *trusted])
     if options.phase not in (None, *experiment.method.phases):
         raise ConfigError(

@@ -11,8 +11,9 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from datamodules.errors import ConfigError
+from datamodules.errors import CheckpointError, ConfigError
 from datamodules.store.atomic import write_atomically
+from plp_lightning.runs.records import DONE, REMEDY, RESULTS, STATUS, check, file_hash, record_hash
 
 
 class RunDirectory:
@@ -40,17 +41,20 @@ class RunDirectory:
             raise ConfigError(f"{path}: holds a run already (state: {state}); {remedy}")
         path.mkdir(parents=True, exist_ok=True)
         run.write_json("environment.json", environment)
-        own = {"config_sha256": hashlib.sha256(config.encode()).hexdigest()}
-        run.write_json("status.json", {"state": "new", **own, **(plan or {}), "phases": {}})
+        begun = {"config_sha256": hashlib.sha256(config.encode()).hexdigest(), "wanted": None, "origin": None}
+        begun |= plan or {}
+        run.write_json("status.json", {"state": "new", **begun, "plan_sha256": record_hash(begun), "phases": {}})
         write_atomically(run.config, config)
         return run
 
     @classmethod
     def open(cls, path: Path) -> RunDirectory:
-        """Open a run that was begun before; a :class:`ConfigError` says if there is none at ``path``."""
+        """Open a run that was begun before; a :class:`ConfigError` says if ``path`` is none, or leads elsewhere."""
         run = cls(path)
         if not run.config.is_file():
             raise ConfigError(f"{path}: is no run directory (it has no config.yaml); name one made by plp fit")
+        if link := next((entry for entry in path.iterdir() if entry.is_symlink()), None):
+            raise ConfigError(f"{link}: is a link, through which a run would write elsewhere; expected its own files")
         return run
 
     @property
@@ -64,16 +68,34 @@ class RunDirectory:
         known = self.status().get("config_sha256")
         return None if known is None else str(known)
 
-    def check_config(self) -> None:
-        """Refuse, by a :class:`ConfigError`, a configuration that is not the one that the run began with."""
-        if self.identity not in (None, hashlib.sha256(self.config.read_bytes()).hexdigest()):
-            remedy = "restore it, or begin a new run with plp fit --config"
+    def check_begun(self) -> None:
+        """Refuse, by a :class:`ConfigError`, a configuration or a plan that is not what the run began with."""
+        status, remedy = self.status(), "restore it, or begin a new run with plp fit --config"
+        if self.identity not in (None, file_hash(self.config)):
             raise ConfigError(f"{self.config}: has changed since the run began, which did not train with it; {remedy}")
+        plan = {key: status.get(key) for key in ("config_sha256", "wanted", "origin")}
+        if status.get("plan_sha256") not in (None, record_hash(plan)):
+            file = self.path / "status.json"
+            raise ConfigError(f"{file}: its phases that are wanted, or its origin, have changed since; {remedy}")
 
     @property
     def results(self) -> Path:
         """Results of the run; written when its last phase is done."""
         return self.path / "results.json"
+
+    def read_results(self) -> dict[str, Any]:
+        """Results of a run that is done; a :class:`ConfigError` says if they are not what the run wrote."""
+        results = self.read_json(self.results.name)
+        if self.status().get("results_sha256") not in (None, file_hash(self.results)):
+            remedy = f"restore it, or remove it and write it anew by plp fit --resume {self.path}"
+            raise ConfigError(f"{self.results}: has changed since the run wrote it; {remedy}")
+        check(results, RESULTS, self.results)
+        return results
+
+    def write_results(self, results: Mapping[str, Any]) -> None:
+        """Write the results; the run is done."""
+        self.write_json(self.results.name, results)
+        self.write_json("status.json", self.status() | {"state": "done", "results_sha256": file_hash(self.results)})
 
     def phase(self, name: str) -> Path:
         """Folder of a phase's curves and checkpoints."""
@@ -86,11 +108,28 @@ class RunDirectory:
     def status(self) -> dict[str, Any]:
         """State of the run and of each of its phases; a :class:`ConfigError` says if the file is damaged."""
         status = {"state": "new", "phases": {}, **self.read_json("status.json")}
-        phases = status["phases"]
-        if not isinstance(phases, dict) or not all(isinstance(record, dict) for record in phases.values()):
-            expected = "expected a record for each phase: restore the file or begin a new run"
-            raise ConfigError(f"{self.path / 'status.json'}: 'phases' is {phases!r}; {expected}")
+        check(status, STATUS, self.path / "status.json")
         return status
+
+    def done_phases(self) -> list[str]:
+        """Names of the phases that are done."""
+        return [name for name, record in self.status()["phases"].items() if record.get("state") == "done"]
+
+    def check_done(self, phase: str) -> None:
+        """Make sure that a phase is done, and that its record and its last checkpoint are what it left.
+
+        Raises:
+            ConfigError: If it is not done, or its record has changed.
+            CheckpointError: If the checkpoint has changed.
+        """
+        file, last, record = self.path / "status.json", self.checkpoint(phase), self.phase_record(phase)
+        if record.get("state") != "done":
+            raise ConfigError(f"{self.path}: phase {phase} is not done; finish it by plp fit --resume {self.path}")
+        check(record, DONE, file, f"phases.{phase}")
+        if record.get("sha256") not in (None, record_hash(record)):
+            raise ConfigError(f"{file}: the record of phase {phase} has changed since it was written; {REMEDY}")
+        if record.get("checkpoint_sha256") not in (None, file_hash(last)):
+            raise CheckpointError(f"{last}: is not what phase {phase} left when it was done; {REMEDY}")
 
     def update_status(self, state: str, phase: str | None = None, record: Mapping[str, Any] | None = None) -> None:
         """Set the run's state and, if named, a phase's record."""
@@ -109,9 +148,9 @@ class RunDirectory:
         if not file.exists():
             return {}
         try:
-            record = json.loads(file.read_text())
-        except ValueError as error:
-            raise ConfigError(f"{file}: is no JSON ({error}); restore it or begin a new run") from None
+            record = json.loads(file.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"{file}: is no JSON ({error}); {REMEDY}") from None
         if not isinstance(record, dict):
             raise ConfigError(f"{file}: holds a {type(record).__name__}; expected an object: restore it")
         return record

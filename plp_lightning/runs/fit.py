@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,9 +10,8 @@ from typing import Any
 import torch
 from lightning.pytorch import Trainer, seed_everything
 
-from datamodules.errors import CheckpointError
 from datamodules.problem import TransferProblem
-from plp_lightning.callbacks.checkpointing import check_owner, read_checkpoint
+from plp_lightning.callbacks.checkpointing import previous_checkpoint
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
@@ -21,7 +19,9 @@ from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
-from plp_lightning.runs.results import log_hyperparameters, write_results
+from plp_lightning.runs.records import file_hash, record_hash
+from plp_lightning.runs.results import log_hyperparameters, print_results, write_results
+from plp_lightning.runs.resumption import check_done, resumption, weights_before
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.runs.trainer import build_trainer
 from plp_lightning.runs.versions import commit
@@ -38,12 +38,14 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     commit()  # as it is now: the checkout may change until the results are written
     run.update_status("running")
     with _failures_noted(run):
+        for name in run.done_phases():
+            check_done(run, name)
         prepare_demonstrations(experiment, run)
         for name in phases:
-            if run.phase_record(name).get("state") != "done":
-                _run_phase(experiment, run, name, _weights_before(experiment, run, name, origin))
-        write_results(experiment, run, origin)
-        run.update_status("done")
+            if name not in run.done_phases():
+                _run_phase(experiment, run, name, weights_before(experiment, run, name, origin))
+        results = write_results(experiment, run, origin)
+    print_results(results, run)
 
 
 @contextmanager
@@ -65,14 +67,24 @@ def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pa
         if weights is not None:
             load_policy_weights(policy, weights)
         phase = experiment.method.phases[name](policy)
-        last = run.checkpoint(name) if run.checkpoint(name).exists() else None
-        trainer = build_trainer(experiment, run, name, phase, _step_of(last) if last else None, stopwatch)
-        trainer.fit(phase, datamodule=experiment.data, ckpt_path=last, weights_only=True)
+        resumed = resumption(run, name)
+        trainer = build_trainer(experiment, run, name, phase, resumed, stopwatch)
+        trainer.fit(
+            phase, datamodule=experiment.data, ckpt_path=resumed.checkpoint if resumed else None, weights_only=True
+        )
         record = assess(experiment, phase, trainer)
         log_hyperparameters(trainer, experiment, record)
     device = trainer.strategy.root_device
     told = torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
-    run.update_status("running", name, record | {"state": "done", "device": told})
+    _note_done(run, name, record | {"device": told})
+
+
+def _note_done(run: RunDirectory, name: str, record: dict[str, Any]) -> None:
+    """Write down that a phase is done, with hashes of its checkpoint and of its record."""
+    last = run.checkpoint(name)
+    done = run.phase_record(name) | record | {"state": "done", "checkpoint_sha256": file_hash(last)}
+    run.update_status("running", name, done | {"sha256": record_hash(done)})
+    previous_checkpoint(last).unlink(missing_ok=True)  # a phase that is done goes on from nowhere
 
 
 def check_method(experiment: Experiment) -> None:
@@ -97,27 +109,3 @@ def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -
     outcomes = experiment.evaluate(policy, observers=pictures.observers)
     pictures.publish(trainer)
     return {name: found.to_dict() for name, found in outcomes.items()}
-
-
-def _step_of(checkpoint: Path) -> int:
-    content = read_checkpoint(checkpoint)
-    if "global_step" not in content:
-        raise CheckpointError(f"{checkpoint}: holds weights alone; expected a state to go on from, as plp fit saves it")
-    return int(content["global_step"])
-
-
-def _weights_before(experiment: Experiment, run: RunDirectory, name: str, origin: RunDirectory | None) -> Path | None:
-    names = list(experiment.method.phases)
-    if name == names[0]:
-        return None
-    before = names[names.index(name) - 1]
-    giver = run if run.checkpoint(before).exists() or origin is None else origin
-    weights = giver.checkpoint(before)
-    check_owner(read_checkpoint(weights), weights, giver.identity, before)
-    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-    begun_with = run.phase_record(name).get("from_sha256", digest)
-    if begun_with != digest:
-        remedy = "restore it, or begin a new run"
-        raise CheckpointError(f"{weights}: is not the checkpoint that phase {name} of {run.path} began with; {remedy}")
-    run.update_status("running", name, {"from": str(weights), "from_sha256": digest})
-    return weights

@@ -14,6 +14,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from datamodules.store.atomic import locked_folder, replacing
 
 COLUMNS = ["step", "metric", "value"]
+LONGEST = 1000  # Characters of a line
 
 
 class MetricsFile(Logger):
@@ -56,8 +57,14 @@ class MetricsFile(Logger):
 
 
 def read_rows(file: Path) -> list[list[str]]:
-    """Complete lines of a metrics file, without the header; none if there is no file."""
-    if not file.exists():
+    """Complete lines of a metrics file, without the header and without what is none; none if there is no file."""
+    if not file.is_file():
         return []
-    with file.open(newline="") as lines:
-        return [row for row in list(csv.reader(lines))[1:] if len(row) == len(COLUMNS)]
+    with file.open(newline="", encoding="utf-8", errors="replace") as lines:
+        return [row for line in lines for row in _row(line)]
+
+
+def _row(line: str) -> list[list[str]]:
+    """The cells of one line, or nothing if it is no line of ours: curves are worth no stop."""
+    cells = line.rstrip("\r\n").split(",")
+    return [cells] if len(cells) == len(COLUMNS) and cells[0].isdecimal() and len(line) < LONGEST else []

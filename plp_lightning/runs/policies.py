@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
 import yaml
 
 from datamodules.errors import CheckpointError, ConfigError
@@ -57,6 +58,12 @@ def _put_weights(policy: Policy, content: dict[str, Any], checkpoint: Path) -> N
         found = str(error).strip().splitlines()[-1].strip()
         remedy = "use the configuration that it was trained with"
         raise CheckpointError(f"{checkpoint}: is of another policy ({found}); {remedy}") from None
+    except (AttributeError, TypeError) as error:
+        raise CheckpointError(f"{checkpoint}: holds no weights ({error}); use one written by plp fit") from None
+    lost = [name for name, weights in policy.named_parameters() if not torch.isfinite(weights).all()]
+    lost += [name for name, values in policy.named_buffers() if torch.isnan(values).any()]
+    if lost:
+        raise CheckpointError(f"{checkpoint}: {lost[0]} is not finite; use a checkpoint from before training diverged")
 
 
 def _checkpoint_of(run: RunDirectory, phase: str | None, which: str) -> Path:

@@ -29,7 +29,7 @@ COUNTED = {field.name for field in fields(Outcome)} - {"behaviour"} | {"before"}
 
 
 def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None = None) -> dict[str, Any]:
-    """Gather the phases' records, and those of the run before, ``origin``, into ``results.json``; print the table."""
+    """Gather the phases' records, and those of the run before, ``origin``, into ``results.json``; the run is done."""
     records = {name: run.phase_record(name) for name in experiment.method.phases}
     done = {name: record for name, record in records.items() if record.get("state") == "done"}
     last, before = [*done.values()][-1], _trials_before(done, list(experiment.method.phases), origin)
@@ -52,8 +52,7 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         "version": found.get(OURS),
         "versions": found,
     }
-    run.write_json("results.json", results)
-    print_results(results, run)
+    run.write_results(results)
     return results
 
 
@@ -98,7 +97,7 @@ def _print_table(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
 def _cells(outcome: Mapping[str, Any]) -> list[str]:
     low, high = outcome["interval"]
     counts = [str(outcome["episodes"]), str(outcome["invalid"])]
-    return [_number(outcome["success"]), f"{low:.2f} – {high:.2f}", _number(outcome["before"]), *counts]
+    return [_number(outcome["success"]), f"{low:.2f} – {high:.2f}", _number(outcome.get("before")), *counts]
 
 
 def _number(value: float | None) -> str:

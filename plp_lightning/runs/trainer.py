@@ -23,6 +23,7 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.runs.progress import PhaseProgress
+from plp_lightning.runs.resumption import Resumption
 from plp_lightning.runs.stopwatch import Stopwatch
 
 COUNTS = ("log_every_n_steps", "accumulate_grad_batches", "check_val_every_n_epoch")  # Lightning divides by them
@@ -56,14 +57,17 @@ def check_trainer(experiment: Experiment) -> None:
 
 
 def build_trainer(
-    experiment: Experiment, run: RunDirectory, name: str, phase: Phase, resumed_step: int | None, stopwatch: Stopwatch
+    experiment: Experiment, run: RunDirectory, name: str, phase: Phase, resumed: Resumption | None, stopwatch: Stopwatch
 ) -> Trainer:
-    """Lightning's Trainer with all that is done around a phase's steps; curves beyond ``resumed_step`` are dropped."""
+    """Lightning's Trainer with all that is done around a phase's steps; curves beyond a resumed step are dropped."""
     quiet_lightning()
     settings = {**experiment.trainer, "max_epochs": experiment.trainer["max_epochs"] or phase.epochs}
     if experiment.data.val_fraction == 0:
         settings["limit_val_batches"] = 0
-    curves = TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed_step)
+    if resumed is not None and resumed.over:
+        settings["max_steps"] = resumed.step  # no further step
+    begin = resumed.step if resumed else None
+    curves = TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=begin)
     return Trainer(
         **settings,
         default_root_dir=run.path,

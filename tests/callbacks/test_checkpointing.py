@@ -121,3 +121,23 @@ def test_without_a_loaded_state_random_numbers_run_on() -> None:
     state = torch.get_rng_state()
     RandomState().on_train_batch_start(None, None, None, 0)  # type: ignore[arg-type]
     assert torch.equal(state, torch.get_rng_state())
+
+
+def test_the_random_state_of_a_gpu_is_carried_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dropout and noise on a GPU draw from its own generator; here a processor's stands in for it."""
+    gpu = torch.Generator().manual_seed(3)
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_rng_state", gpu.get_state)
+    monkeypatch.setattr(torch.cuda, "set_rng_state", gpu.set_state)
+    resumed = RandomState()
+    resumed.load_state_dict(RandomState().state_dict())
+    drawn = torch.rand(4, generator=gpu)
+    resumed.on_train_batch_start(None, None, None, 0)  # type: ignore[arg-type]
+    assert torch.equal(torch.rand(4, generator=gpu), drawn)
+
+
+def test_a_run_that_began_on_a_gpu_goes_on_without_one() -> None:
+    resumed = RandomState()
+    resumed.load_state_dict(RandomState().state_dict() | {"cuda": torch.get_rng_state()})
+    resumed.on_train_batch_start(None, None, None, 0)  # type: ignore[arg-type]
+    assert resumed.loaded is None

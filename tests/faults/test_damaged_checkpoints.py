@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import random
 import shutil
-import zipfile
 from pathlib import Path
 
 import pytest
 import torch
 from command import complaint, plp, results, same, smoke_run, tiny_smoke
+from forgery import flip_a_weight
 
 from datamodules.errors import CheckpointError
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, content_hash, read_checkpoint
@@ -67,7 +67,7 @@ def test_no_command_uses_a_damaged_checkpoint(verb: str, finished: RunDirectory,
     status = run.status()
     phases = status["phases"] | {last: status["phases"][last] | {"state": "running"}}
     run.write_json("status.json", status | {"state": "running", "phases": phases})
-    _flip_a_weight(run.checkpoint(last))
+    flip_a_weight(run.checkpoint(last))
     told = complaint(verb, *(["--resume"] if verb == "fit" else []), run.path)
     assert f"{last}/checkpoints/last.ckpt: its content does not match its hash" in told
     assert not run.results.exists()
@@ -90,20 +90,9 @@ def test_what_is_loaded_to_go_on_is_checked_too(tmp_path: Path) -> None:
     content = {"policy": {}, "state_dict": {"w": torch.arange(100.0)}}
     AtomicCheckpointIO().save_checkpoint(content, tmp_path / "last.ckpt")
     assert same(AtomicCheckpointIO().load_checkpoint(tmp_path / "last.ckpt"), content)
-    _flip_a_weight(tmp_path / "last.ckpt")
+    flip_a_weight(tmp_path / "last.ckpt")
     with pytest.raises(CheckpointError, match="does not match its hash"):
         AtomicCheckpointIO().load_checkpoint(tmp_path / "last.ckpt")
-
-
-def _flip_a_weight(file: Path) -> None:
-    """Flip the lowest bit of the largest tensor's middle byte, which torch reads without a word."""
-    with zipfile.ZipFile(file) as archive:
-        tensors = [member for member in archive.infolist() if "/data/" in member.filename]
-        largest = max(tensors, key=lambda member: member.file_size)
-        stored = archive.read(largest)
-    whole = bytearray(file.read_bytes())
-    whole[whole.index(stored) + len(stored) // 2] ^= 1
-    file.write_bytes(whole)
 
 
 def test_a_finished_run_is_what_it_was(finished: RunDirectory, tmp_path: Path) -> None:

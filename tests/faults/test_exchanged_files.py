@@ -57,9 +57,14 @@ def test_a_checkpoint_of_another_phase_is_refused(interrupted: RunDirectory) -> 
 
 
 def test_weights_that_were_exchanged_later_are_refused(interrupted: RunDirectory) -> None:
-    """They are the run's own, of that phase and in good order, but not what adaptation began with."""
+    """They are the run's own, of that phase and in good order, but not what alignment left."""
     file = interrupted.checkpoint("alignment")
     AtomicCheckpointIO().save_checkpoint(read_checkpoint(file) | {"global_step": 3}, file)
+    assert "is not what phase alignment left when it was done" in complaint("fit", "--resume", interrupted.path)
+    status = interrupted.status()
+    for later in ("sha256", "checkpoint_sha256"):  # which records of earlier versions lack
+        del status["phases"]["alignment"][later]
+    interrupted.write_json("status.json", status)
     assert "is not the checkpoint that phase adaptation of" in complaint("fit", "--resume", interrupted.path)
 
 
@@ -90,3 +95,12 @@ def test_what_was_not_touched_goes_on(interrupted: RunDirectory) -> None:
     weights = checkpoint(interrupted, "adaptation")["state_dict"]
     assert plp("fit", "--resume", interrupted.path).code == 0
     assert same(checkpoint(interrupted, "adaptation")["state_dict"], weights)
+
+
+@pytest.mark.parametrize("name", ["status.json", "config.yaml", "adaptation", "results.json"])
+def test_links_out_of_a_run_are_not_followed(name: str, interrupted: RunDirectory, tmp_path: Path) -> None:
+    outside, inside = tmp_path / "outside", interrupted.path / name
+    if inside.exists():
+        shutil.move(inside, outside)
+    inside.symlink_to(outside)
+    assert f"{name}: is a link" in complaint("fit", "--resume", interrupted.path)
