@@ -70,13 +70,13 @@ def _trusted(rest: Sequence[str]) -> list[str]:
 
 
 def _fit(experiment: Experiment, run: RunDirectory) -> None:
-    status = run.status()
-    origin = RunDirectory.open(Path(status["origin"])) if status.get("origin") else None
-    wanted = status.get("wanted") or list(experiment.method.phases)
-    if unknown := [name for name in wanted if name not in experiment.method.phases]:
-        told = f"{run.path / 'status.json'}: wants phase {unknown[0]!r}"
-        raise ConfigError(f"{told}; the phases of {run.config} are {', '.join(experiment.method.phases)}")
-    with run.locked():
+    with run.locked(), run.failures_noted():
+        status = run.status()
+        origin = RunDirectory.open(Path(status["origin"])) if status.get("origin") else None
+        wanted = status.get("wanted") or list(experiment.method.phases)
+        if unknown := [name for name in wanted if name not in experiment.method.phases]:
+            told = f"{run.path / 'status.json'}: wants phase {unknown[0]!r}"
+            raise ConfigError(f"{told}; the phases of {run.config} are {', '.join(experiment.method.phases)}")
         fit(experiment, run, wanted, origin)
 
 

@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from datamodules.errors import CheckpointError, ConfigError
 from datamodules.store.atomic import write_atomically
 from plp_lightning.runs.records import DONE, REMEDY, RESULTS, STATUS, check, file_hash, record_hash
+from plp_lightning.stopping import PreemptedError
 
 
 class RunDirectory:
@@ -92,9 +93,8 @@ class RunDirectory:
         check(results, RESULTS, self.results)
         return results
 
-    def write_results(self, results: Mapping[str, Any]) -> None:
-        """Write the results; the run is done."""
-        self.write_json(self.results.name, results)
+    def finish(self) -> None:
+        """Write down that the run is done, with the hash of its results."""
         self.write_json("status.json", self.status() | {"state": "done", "results_sha256": file_hash(self.results)})
 
     def phase(self, name: str) -> Path:
@@ -168,3 +168,12 @@ class RunDirectory:
             raise ConfigError(f"{self.path}: another process works on this run; wait for it or stop it") from None
         with lock:
             yield
+
+    @contextmanager
+    def failures_noted(self) -> Iterator[None]:
+        """Write down that the run has failed, or was asked to stop, if the block raises."""
+        try:
+            yield
+        except BaseException as error:
+            self.update_status("preempted" if isinstance(error, PreemptedError) else "failed")
+            raise

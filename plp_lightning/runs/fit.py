@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +18,11 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.records import file_hash, record_hash
-from plp_lightning.runs.results import log_hyperparameters, print_results, write_results
+from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.resumption import check_done, resumption, weights_before
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.runs.trainer import build_trainer
 from plp_lightning.runs.versions import commit
-from plp_lightning.stopping import PreemptedError
 
 
 def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: RunDirectory | None = None) -> None:
@@ -37,24 +34,14 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     torch.set_num_threads(experiment.threads)
     commit()  # as it is now: the checkout may change until the results are written
     run.update_status("running")
-    with _failures_noted(run):
-        for name in run.done_phases():
-            check_done(run, name)
-        prepare_demonstrations(experiment, run)
-        for name in phases:
-            if name not in run.done_phases():
-                _run_phase(experiment, run, name, weights_before(experiment, run, name, origin))
-        results = write_results(experiment, run, origin)
-    print_results(results, run)
-
-
-@contextmanager
-def _failures_noted(run: RunDirectory) -> Iterator[None]:
-    try:
-        yield
-    except BaseException as error:
-        run.update_status("preempted" if isinstance(error, PreemptedError | KeyboardInterrupt) else "failed")
-        raise
+    for name in run.done_phases():
+        check_done(run, name)
+    prepare_demonstrations(experiment, run)
+    for name in phases:
+        if name not in run.done_phases():
+            _run_phase(experiment, run, name, weights_before(experiment, run, name, origin))
+    write_results(experiment, run, origin)
+    run.finish()
 
 
 def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None) -> None:

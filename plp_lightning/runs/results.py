@@ -29,7 +29,7 @@ COUNTED = {field.name for field in fields(Outcome)} - {"behaviour"} | {"before"}
 
 
 def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None = None) -> dict[str, Any]:
-    """Gather the phases' records, and those of the run before, ``origin``, into ``results.json``; the run is done."""
+    """Gather the phases' records, and those of the run before, ``origin``, into ``results.json``; print the table."""
     records = {name: run.phase_record(name) for name in experiment.method.phases}
     done = {name: record for name, record in records.items() if record.get("state") == "done"}
     last, before = [*done.values()][-1], _trials_before(done, list(experiment.method.phases), origin)
@@ -52,7 +52,8 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         "version": found.get(OURS),
         "versions": found,
     }
-    run.write_results(results)
+    run.write_json(run.results.name, results)
+    print_results(results, run)
     return results
 
 
