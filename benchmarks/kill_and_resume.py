@@ -58,7 +58,7 @@ class Run(NamedTuple):
         if self.directory.config.exists():
             return ["fit", "--resume", str(self.directory.path)]
         places = ["--run_root", str(self.folder / "runs"), "--data.root", str(self.data.parent)]
-        return ["fit", *SMOKE, *PAGES.get(self.method, []), *TINY, *places, "--collection.processes", "2"]
+        return ["fit", *SMOKE, *TINY, *PAGES[self.method], *places, "--collection.processes", "2"]
 
 
 def execute(run: Run, kill_after: float = LONGEST) -> tuple[int | None, float]:

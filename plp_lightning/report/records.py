@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ INDIFFERENT = (
 )
 """Settings, or groups of them, that change nothing of what is learned: seeds, goals, places, threads, what is logged,
 evaluated or drawn."""
+RESULTS = "results.json"
 MOST = 3  # Differences that a message tells
 
 
@@ -60,6 +62,8 @@ def read_records(paths: Sequence[Path]) -> list[Record]:
             that would be averaged were made with different settings.
     """
     contents = {file.resolve(): content for path in paths for file, content in _results(path).items()}
+    for file in contents:
+        _check_hash(file)
     records = {file: _record(file, contents[file]) for file in sorted(contents)}
     found: dict[RunKey, Path] = {}
     for file, record in records.items():
@@ -75,7 +79,7 @@ def _results(path: Path) -> dict[Path, Any]:
         raise ConfigError(f"{path}: no such file or folder; expected run directories, such as runs")
     if path.is_file():
         return {path: _read(path)}
-    contents = {file: _read(file) for file in path.rglob("*.json")}
+    contents = {file: _read(file) for file in path.rglob("*.json") if file.name == RESULTS or _is_json(file)}
     keys = {"experiment", "method", "target_task", "target"}
     results = {file: content for file, content in contents.items() if isinstance(content, dict) and keys <= {*content}}
     if not results:
@@ -83,20 +87,36 @@ def _results(path: Path) -> dict[Path, Any]:
     return results
 
 
+def _is_json(file: Path) -> bool:
+    """Whether a file may be results under another name; whatever else lies beside runs is none of ours."""
+    try:
+        _read(file)
+    except (ConfigError, OSError):
+        return False
+    return True
+
+
 def _read(file: Path) -> Any:
     try:
         return json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{file}: no JSON ({error}); expected results.json of a run") from None
+
+
+def _check_hash(file: Path) -> None:
+    """Refuse, by a :class:`ConfigError`, results that are not what the run beside them wrote."""
+    status = file.with_name("status.json")
+    known = _read(status) if status.is_file() else {}
+    digest = known.get("results_sha256") if isinstance(known, dict) else None
+    if file.name == RESULTS and digest not in (None, hashlib.sha256(file.read_bytes()).hexdigest()):
+        raise ConfigError(f"{file}: has changed since the run wrote it; restore it or remove it and resume the run")
 
 
 def _record(file: Path, content: Any) -> Record:
     try:
         target = content["target"]
         return Record(
-            run=RunKey(
-                str(content["experiment"]), str(content["method"]), str(content["target_task"]), int(content["seed"])
-            ),
+            run=_key(content),
             success=float(target["success"]),
             low=float(target["interval"][0]),
             high=float(target["interval"][1]),
@@ -111,6 +131,13 @@ def _record(file: Path, content: Any) -> Record:
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise ConfigError(f"{file}: not a run's results ({reason}); expected what plp fit wrote") from None
+
+
+def _key(content: Mapping[str, Any]) -> RunKey:
+    experiment, method, target = (str(content[name]) for name in ("experiment", "method", "target_task"))
+    if not f"{experiment}{method}{target}".isprintable():
+        raise ValueError(f"a name in {(experiment, method, target)!r} cannot be printed")
+    return RunKey(experiment, method, target, int(content["seed"]))
 
 
 def _before(content: Mapping[str, Any]) -> float | None:

@@ -50,6 +50,8 @@ def test_the_same_run_twice_is_told(tmp_path):
         ("{", "no JSON"),
         ("[]", "not a run's results"),
         (json.dumps(RESULT | {"target": {"success": "x"}}), "not a run's results"),
+        (json.dumps(RESULT | {"experiment": "\x1b[31mred"}), "not a run.s results .*cannot be printed"),
+        ("[" * 100_000, "no JSON"),
         (json.dumps(RESULT | {"alignment": None}), "not a run's results"),
     ],
 )
@@ -109,3 +111,23 @@ def test_older_results_of_cdil_tell_nothing_of_before_adaptation(tmp_path):
     write(tmp_path / "a", method="cdil")
     write(tmp_path / "b", method="cdil", seed=1, **settings())
     assert [record.before for record in read_records([tmp_path])] == [None, 0.1]
+
+
+def test_whatever_else_lies_beside_runs_is_passed_over(tmp_path) -> None:
+    for name, text in {
+        "a/results.json": json.dumps(RESULT),
+        "b/wandb.json": "{",
+        "c.json": "\xff",
+        "d.json": "3",
+    }.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(text.encode("latin-1"))
+    (tmp_path / "folder.json").mkdir()
+    assert len(read_records([tmp_path])) == 1
+
+
+def test_results_that_a_run_did_not_write_are_refused(tmp_path) -> None:
+    (tmp_path / "results.json").write_text(json.dumps(RESULT))
+    (tmp_path / "status.json").write_text(json.dumps({"results_sha256": "0" * 64}))
+    with pytest.raises(ConfigError, match="has changed since the run wrote it"):
+        read_records([tmp_path])
