@@ -11,10 +11,11 @@ from typing import Any
 from lightning.pytorch.loggers.logger import Logger
 from lightning.pytorch.utilities import rank_zero_only
 
+from datamodules.errors import ConfigError
 from datamodules.store.atomic import locked_folder, replacing
 
 COLUMNS = ["step", "metric", "value"]
-LONGEST = 1000  # Characters of a line
+LONGEST = 40  # Digits of a step, and characters of a line that are told
 
 
 class MetricsFile(Logger):
@@ -57,14 +58,17 @@ class MetricsFile(Logger):
 
 
 def read_rows(file: Path) -> list[list[str]]:
-    """Complete lines of a metrics file, without the header and without what is none; none if there is no file."""
+    """Complete lines of a metrics file, without the header; none if there is no file.
+
+    Raises:
+        ConfigError: If a line is none of ours; only the last one may be incomplete, as a killed run leaves it.
+    """
     if not file.is_file():
         return []
-    with file.open(newline="", encoding="utf-8", errors="replace") as lines:
-        return [row for line in lines for row in _row(line)]
-
-
-def _row(line: str) -> list[list[str]]:
-    """The cells of one line, or nothing if it is no line of ours: curves are worth no stop."""
-    cells = line.rstrip("\r\n").split(",")
-    return [cells] if len(cells) == len(COLUMNS) and cells[0].isdecimal() and len(line) < LONGEST else []
+    lines = file.read_bytes().split(b"\n")[:-1]  # without what comes after the last line break
+    rows = [line.rstrip(b"\r").decode("utf-8", "replace").split(",") for line in lines[1:]]
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(COLUMNS) or not (row[0].isdecimal() and len(row[0]) < LONGEST):
+            found = f"line {number} is {','.join(row)[:LONGEST]!r}"
+            raise ConfigError(f"{file}: {found}; expected {','.join(COLUMNS)}: restore the file or remove it")
+    return rows

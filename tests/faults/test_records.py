@@ -138,12 +138,24 @@ def test_one_digit_of_the_results_counts(done: RunDirectory) -> None:
 
 
 @pytest.mark.parametrize(
-    "odd", [b"\xff\x00\n" * 9, b"step,metric,value\nx,y,z\n", b"step,metric,value\n1,a," + b"9" * 200_000, b"1,a\0,2\n"]
+    "odd",
+    [
+        b"\xff\x00\n" * 9,
+        b"step,metric,value\nx,y,z\n",
+        b"step,metric,value\n" + b"9" * 9_999 + b",a,1\n",
+        b"1,a\n1,b\n",
+    ],
 )
-def test_odd_lines_of_curves_are_dropped(odd: bytes, interrupted: RunDirectory, finished: RunDirectory) -> None:
+def test_curves_that_are_none_are_refused(odd: bytes, interrupted: RunDirectory) -> None:
+    interrupted.phase("adaptation").mkdir()
+    (interrupted.phase("adaptation") / "metrics.csv").write_bytes(odd)
+    assert "metrics.csv: line 2 is" in complaint("fit", "--resume", interrupted.path)
+
+
+def test_half_a_line_of_a_killed_run_is_dropped(interrupted: RunDirectory, finished: RunDirectory) -> None:
     interrupted.phase("adaptation").mkdir()
     curves = interrupted.phase("adaptation") / "metrics.csv"
-    curves.write_bytes(odd)
+    curves.write_bytes(b"step,metric,value\n0,train/b")
     assert plp("fit", "--resume", interrupted.path).code == 0
     assert curves.read_bytes() == (finished.phase("adaptation") / "metrics.csv").read_bytes()
 
