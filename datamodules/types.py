@@ -98,8 +98,9 @@ class DomainSpec:
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> DomainSpec:
         """Inverse of :meth:`to_dict`."""
-        keys = tuple(ObservationKey(k["name"], tuple(k["shape"]), k["kind"], k["unit"]) for k in plain["observation"])
-        return cls(plain["name"], keys, plain["action_size"], plain["control_hz"], plain["env"])
+        found = [(k["name"], tuple(k["shape"]), k.get("kind", "state"), k.get("unit", "")) for k in plain["observation"]]
+        keys = tuple(ObservationKey(*key) for key in found)
+        return cls(plain["name"], keys, plain["action_size"], plain["control_hz"], plain.get("env", ""))
 
 
 @dataclass(frozen=True)

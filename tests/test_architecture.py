@@ -22,6 +22,7 @@ WORDS = {
     "datamodules.types",
     "datamodules.problem",
     "datamodules.settings",
+    "datamodules.specs",
     "datamodules.streams",
     "datamodules.batches.normalization",
 }
@@ -32,6 +33,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # What is below imports at most what is beside it; a package may import its own modules. First match counts.
     "datamodules.errors": set(),
     "datamodules.settings": {"datamodules.errors"},
+    "datamodules.specs": set(),
     "datamodules.streams": set(),
     "datamodules.types": {"datamodules.errors"},
     "datamodules.store": WORDS,

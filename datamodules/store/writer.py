@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError
+from datamodules.specs import difference
 from datamodules.store.atomic import locked_folder
 from datamodules.store.guard import check_objects, open_guarded
 from datamodules.store.reader import DomainArrays, EpisodeTable, TrajectoryFile, verify_hashes
@@ -128,26 +129,13 @@ def _values(episode: Episode, rows: int) -> tuple[np.ndarray, ...]:
 
 
 def _check_growth(old: TrajectoryFile, domains: Sequence[DomainSpec]) -> None:
-    known = {spec.name: spec.to_dict() for spec in old.domains}
+    known = {spec.name: spec for spec in old.domains}
     for new in domains:
-        for field, expected in new.to_dict().items():
-            found = known.get(new.name, {field: expected})[field]
-            if found != expected:
-                told = f"{old.path}: domain {new.name!r} has {_difference(field, found, expected)}"
-                raise TrajectoryFileError(f"{told}: restore the setting or collect into another file")
+        if told := difference(known.get(new.name, new).to_dict(), new.to_dict(), "file"):
+            place = f"{old.path}: domain {new.name!r}"
+            raise TrajectoryFileError(f"{place} has {told}: restore the setting or collect into another file")
     paths = (array_paths(spec, old.version) for spec in old.domains)
     with open_guarded(old.path) as file:
         extra = set(check_objects(file, old.path)).difference(["/tasks/name"], *paths)
     if extra:
         raise TrajectoryFileError(f"{old.path}: found {min(extra)}; growing would drop it: collect into another file")
-
-
-def _difference(field: str, found: Any, expected: Any) -> str:
-    if field != "observation":
-        return f"{field} {found!r} in the file; expected {expected!r}"
-    ours, theirs = ({key["name"]: key for key in keys} for keys in (expected, found))
-    if list(ours) != list(theirs):
-        return f"keys {', '.join(theirs)} in the file; expected {', '.join(ours)}"
-    name = next(name for name in ours if ours[name] != theirs[name])
-    part = next(part for part in ours[name] if ours[name][part] != theirs[name][part])
-    return f"key {name!r} with {part} {theirs[name][part]!r} in the file; expected {ours[name][part]!r}"

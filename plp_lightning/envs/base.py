@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -64,9 +65,21 @@ class Simulator(Configured, ABC):
         Actions are clipped to [-1, 1]. Rows of the result are in the order of ``episodes``.
         """
 
+    def departures(self, *names: str) -> str:
+        """The named arguments that are not at their defaults, as the end of a spec's ``env``: ``, horizon 60``.
+
+        Of those that are nothing is said, so that files are known which are older than an argument.
+        """
+        defaults = inspect.signature(type(self)).parameters
+        given = {name: self.arguments[name] for name in names if name in self.arguments}
+        return "".join(f", {name} {value}" for name, value in given.items() if value != defaults[name].default)
+
 
 class Expert(Configured, ABC):
     """Demonstrates: acts on many episodes of one simulator at once, from observations alone."""
+
+    def check(self, simulator: Simulator) -> None:
+        """Refuse, by a :class:`UserError`, what it can't demonstrate in, or with, before processes are started."""
 
     @abstractmethod
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:

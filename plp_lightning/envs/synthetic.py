@@ -44,7 +44,8 @@ class LinearPoint(Simulator):
 
     def spec(self, name: str) -> DomainSpec:
         keys = (ObservationKey("position", (self.state_size,)),)
-        return DomainSpec(name, keys, 2, control_hz=10.0, env=f"LinearPoint({self.map_seed})")
+        env = f"LinearPoint({self.map_seed}){self.departures('horizon')}"
+        return DomainSpec(name, keys, 2, control_hz=10.0, env=env)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """The point in the plane, ``(N, 2)``."""
@@ -105,7 +106,8 @@ class SeenPoint(LinearPoint):
     def spec(self, name: str) -> DomainSpec:
         camera = ObservationKey("camera", (self.image_size, self.image_size, 3), kind="image")
         keys = (camera, ObservationKey("position", (self.state_size,)))
-        return DomainSpec(name, keys, 2, control_hz=10.0, env=f"SeenPoint({self.map_seed})")
+        env = f"SeenPoint({self.map_seed}){self.departures('horizon')}"
+        return DomainSpec(name, keys, 2, control_hz=10.0, env=env)
 
     def spots(self, seeds: Sequence[int]) -> np.ndarray:
         """Places of the three colours ``(E, 3, 2)`` in the plane."""

@@ -22,6 +22,7 @@ from plp_lightning.envs.base import Domain, Step, available_cores
 from plp_lightning.envs.rollout import Observer, rollout
 from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
+from plp_lightning.runs.specs import check_file
 from plp_lightning.runs.versions import versions
 
 _domains: Mapping[str, Domain] = {}
@@ -56,6 +57,8 @@ class ExpertCollector:
         without = [name for name in missing if self.domains[name].expert is None]
         if without:
             raise UserError(f"domain {without[0]!r} has no expert; add one or import demonstrations into {path}")
+        for domain in (self.domains[name] for name in missing):
+            domain.expert.check(domain.simulator)  # type: ignore[union-attr]
         first = next(iter(self.domains.values())).simulator
         specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
         made: list[Trajectory] = []
@@ -73,6 +76,7 @@ class ExpertCollector:
 
         Demonstrations that were imported are taken as they are.
         """
+        check_file(path, [domain.simulator.spec(name) for name, domain in self.domains.items()])
         for recipe in self._recipes(path):
             for name, (found, wanted) in self.recipe.differences(recipe).items():
                 told = f"{path}: its demonstrations were collected with --collection.{name} {found}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from lightning.pytorch import Callback
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.transfer import TransferDataModule
+from datamodules.types import DomainSpec
 from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.envs.rollout import Observer
 from plp_lightning.evaluation.scores import AlignmentScore
@@ -76,9 +77,19 @@ class Experiment:
         """The trials in domains that a policy acts in."""
         return {name: trial for name, trial in self.eval_settings.items() if trial.domain in policy.acts_in}
 
+    @property
+    def specs(self) -> list[DomainSpec]:
+        """Domains as the simulators show them: states ``(O,)``, images ``(H, W, C)`` and actions ``(A,)``."""
+        return [simulator.spec(name) for name, simulator in self.simulators.items()]
+
+    @property
+    def unscaled_problem(self) -> TransferProblem:
+        """Domains and tasks, without the statistics that only the data have."""
+        return TransferProblem(self.specs, self.data.tasks, self.data.source_domain, self.data.target_domain)
+
     def build_policy(self) -> Policy:
-        """The policy, untrained, for the domains, tasks and statistics of the data."""
-        return self.method.policy(self.data.problem)
+        """The policy, untrained, for the simulators' domains, and the tasks and statistics of the data."""
+        return self.method.policy(replace(self.unscaled_problem, statistics=self.data.statistics()))
 
     def evaluate(
         self,

@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from lightning.pytorch import Trainer, seed_everything
 
-from datamodules.problem import TransferProblem
-from plp_lightning.callbacks.checkpointing import previous_checkpoint
+from datamodules.errors import CheckpointError
+from plp_lightning.callbacks.checkpointing import previous_checkpoint, read_checkpoint
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
@@ -20,6 +20,7 @@ from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.records import file_hash, record_hash
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.resumption import check_done, resumption, weights_before
+from plp_lightning.runs.specs import check_checkpoint, check_file
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.runs.trainer import build_trainer
 from plp_lightning.runs.versions import commit
@@ -36,6 +37,7 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     run.update_status("running")
     for name in run.done_phases():
         check_done(run, name)
+    check_checkpoints(experiment, run, origin)
     prepare_demonstrations(experiment, run)
     for name in phases:
         if name not in run.done_phases():
@@ -74,11 +76,21 @@ def _note_done(run: RunDirectory, name: str, record: dict[str, Any]) -> None:
     previous_checkpoint(last).unlink(missing_ok=True)  # a phase that is done goes on from nowhere
 
 
+def check_checkpoints(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None) -> None:
+    """Compare all that a run may go on from with the simulators, before minutes are spent on demonstrations."""
+    places = [run] if origin is None else [run, origin]
+    for path in (place.checkpoint(name) for place in places for name in experiment.method.phases):
+        try:
+            content = read_checkpoint(path)
+        except CheckpointError:  # missing or damaged: who goes on from it takes the one before, or tells
+            continue
+        check_checkpoint(path, experiment.unscaled_problem, content)
+
+
 def check_method(experiment: Experiment) -> None:
     """Build the policy and all phases once, so that wrong settings show before minutes are spent on demonstrations."""
-    specs = [simulator.spec(name) for name, simulator in experiment.simulators.items()]
-    data = experiment.data
-    policy = experiment.method.policy(TransferProblem(specs, data.tasks, data.source_domain, data.target_domain))
+    check_file(experiment.data.path, experiment.specs)
+    policy = experiment.method.policy(experiment.unscaled_problem)
     for build in experiment.method.phases.values():
         build(policy)
 

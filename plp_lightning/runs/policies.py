@@ -16,6 +16,7 @@ from plp_lightning.callbacks.checkpointing import read_checkpoint
 from plp_lightning.methods.policy import Policy
 from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.specs import check_checkpoint
 
 PACKAGE = "plp_lightning"
 
@@ -46,7 +47,9 @@ def load_policy(
 
 def load_policy_weights(policy: Policy, checkpoint: Path) -> None:
     """Put a phase's weights, scaling included, into a policy; CheckpointError says if they are of another policy."""
-    _put_weights(policy, read_checkpoint(checkpoint), checkpoint)
+    content = read_checkpoint(checkpoint)
+    check_checkpoint(checkpoint, policy.problem, content)
+    _put_weights(policy, content, checkpoint)
 
 
 def _put_weights(policy: Policy, content: dict[str, Any], checkpoint: Path) -> None:

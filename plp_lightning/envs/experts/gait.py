@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,13 +114,44 @@ class Gait:
         """
         if not path.is_file():
             raise CheckpointError(f"no gait at {path}; name another file or train one with: {TRAIN}")
-        arrays = load_file(path)
+        arrays = _read(path)
         count = sum(name.endswith(".weight") for name in arrays)
         try:
             layers = tuple((arrays[f"{i}.weight"], arrays[f"{i}.bias"]) for i in range(count))
-            return cls(layers, arrays["mean"], arrays["scale"])
+            gait = cls(layers, arrays["mean"], arrays["scale"])
         except KeyError as error:
             raise CheckpointError(f"{path} is no gait: it lacks {error}; train it again") from error
+        if flaw := gait.flaw:
+            raise CheckpointError(f"{path} is no gait: {flaw}; train it again")
+        return gait
+
+    @property
+    def flaw(self) -> str:
+        """In a few words, why it can't move a body; empty if it can."""
+        for name, array in (("mean", self.mean), ("scale", self.scale), *self._parameters()):
+            if array.dtype != np.float32:
+                return f"{name} is of type {array.dtype}, expected float32"
+            if not np.isfinite(array).all():
+                return f"{name} is not finite"
+        torques = self.layers[-1][1].size if self.layers else 0
+        if torques == 0 or torques % 2:
+            return f"it gives {torques} torques, expected two a leg"
+        return self._misfit(Symmetry(torques // 2).features)
+
+    def _parameters(self) -> Iterator[tuple[str, np.ndarray]]:
+        for i, (weight, bias) in enumerate(self.layers):
+            yield from ((f"{i}.weight", weight), (f"{i}.bias", bias))
+
+    def _misfit(self, features: int) -> str:
+        """The first array whose shape doesn't fit those before it, for F ``features`` at the beginning."""
+        expected: dict[str, tuple[int, ...]] = {"mean": (features,), "scale": (features,)}
+        for i, (weight, bias) in enumerate(self.layers):
+            expected |= {f"{i}.weight": (bias.size, features), f"{i}.bias": (bias.size,)}
+            features = bias.size
+        for name, array in (("mean", self.mean), ("scale", self.scale), *self._parameters()):
+            if array.shape != expected[name] or not array.size:
+                return f"{name} is of shape {array.shape}, expected {expected[name]}"
+        return ""
 
 
 def gait_path(legs: int) -> Path:
@@ -128,6 +160,26 @@ def gait_path(legs: int) -> Path:
 
 
 def provenance(path: Path) -> dict[str, object]:
-    """Command, seed, steps and versions that the gait at ``path`` was made with."""
-    record: dict[str, object] = json.loads(path.with_suffix(".json").read_text())
+    """Command, seed, steps and versions that the gait at ``path`` was made with.
+
+    Raises:
+        CheckpointError: If the record beside it is missing or none.
+    """
+    card = path.with_suffix(".json")
+    try:
+        record = json.loads(card.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"{card}: cannot be read ({error}); expected JSON that {TRAIN} wrote") from None
+    if not isinstance(record, dict):
+        raise CheckpointError(f"{card}: holds no record; expected JSON that {TRAIN} wrote")
     return record
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a safetensors file, whose own reader raises many kinds of errors for what is none."""
+    try:
+        return load_file(path)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"[:160]
+        remedy = f"name another file or train one with: {TRAIN}"
+        raise CheckpointError(f"{path}: not a safetensors file ({reason}); {remedy}") from None

@@ -102,24 +102,31 @@ class WalkerExpert(Expert):
     def __init__(self, weights: Path | None = None, width: PositiveFloat = 0.35) -> None:
         self._weights, self._width = weights, width
 
+    def check(self, simulator: Simulator) -> None:
+        self._fitting(simulator)
+
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
+        self._maze, self._gait = self._fitting(simulator)
+        self._guide = Guide(self._maze, tasks, self._width)
+
+    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
+        directions = self.directions(observation.state, episodes)
+        return self._gait.act(observation.state, directions).astype(np.float32)
+
+    def _fitting(self, simulator: Simulator) -> tuple[WalkerMaze, Gait]:
         if not isinstance(simulator, WalkerMaze):
             found = type(simulator).__name__
             raise ConfigError(
                 f"WalkerExpert demonstrates in WalkerMaze, not in {found}; give the domain its own expert"
             )
         path = self._weights or gait_path(simulator.legs)
-        self._maze, self._gait = simulator, Gait.load(path)
-        if self._gait.legs != simulator.legs:
+        gait = Gait.load(path)
+        if gait.legs != simulator.legs:
             raise ConfigError(
-                f"the gait {path} moves {self._gait.legs} legs, this walker has {simulator.legs}; "
+                f"the gait {path} moves {gait.legs} legs, this walker has {simulator.legs}; "
                 f"name another file or train one with: {TRAIN}"
             )
-        self._guide = Guide(self._maze, tasks, self._width)
-
-    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        directions = self.directions(observation.state, episodes)
-        return self._gait.act(observation.state, directions).astype(np.float32)
+        return simulator, gait
 
     def directions(self, states: np.ndarray, episodes: np.ndarray) -> np.ndarray:
         """Unit vectors ``(n, 2)`` in the maze's frame, along which to walk from states ``(n, O)``."""

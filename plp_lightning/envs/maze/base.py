@@ -48,7 +48,7 @@ class Maze(Simulator):
     ) -> None:
         if layout not in LAYOUTS:
             raise ConfigError(f"unknown maze layout {layout!r}; expected one of: {', '.join(LAYOUTS)}")
-        self.layout = LAYOUTS[layout]
+        self.layout, self._layout_name = LAYOUTS[layout], layout
         self.frame = Frame.gymnasium(self.layout.shape, self.scale) if frame == "gymnasium" else self._d4rl_frame()
         self.horizon, self.threads = horizon or self.horizons[layout], threads
         self._radius, self._jitter = radius * self.scale, jitter
@@ -60,7 +60,10 @@ class Maze(Simulator):
         return self.layout.tasks
 
     def spec(self, name: str) -> DomainSpec:
-        return DomainSpec(name, self._keys(), self._action_size, 100 / self.frame_skip, self._description)
+        env = self._description + self.departures("radius", "jitter")
+        if self.horizon != self.horizons[self._layout_name]:
+            env += f", horizon {self.horizon}"
+        return DomainSpec(name, self._keys(), self._action_size, 100 / self.frame_skip, env)
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         chosen = [self.layout.task(name) for name in tasks]
