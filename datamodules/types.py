@@ -98,7 +98,9 @@ class DomainSpec:
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> DomainSpec:
         """Inverse of :meth:`to_dict`."""
-        found = [(k["name"], tuple(k["shape"]), k.get("kind", "state"), k.get("unit", "")) for k in plain["observation"]]
+        found = [
+            (k["name"], tuple(k["shape"]), k.get("kind", "state"), k.get("unit", "")) for k in plain["observation"]
+        ]
         keys = tuple(ObservationKey(*key) for key in found)
         return cls(plain["name"], keys, plain["action_size"], plain["control_hz"], plain.get("env", ""))
 

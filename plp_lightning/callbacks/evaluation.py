@@ -9,6 +9,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.faults import forgiving
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
@@ -91,5 +92,6 @@ class AlignmentMetrics(Callback):
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         turn = self.every_n_epochs > 0 and (trainer.current_epoch + 1) % self.every_n_epochs == 0
         if turn and isinstance(pl_module, Phase) and isinstance(pl_module.policy, AligningPolicy):
-            for name, value in self.score(pl_module.policy, self.data, self.simulators).items():
-                pl_module.log(f"alignment/{name}", value)
+            with forgiving("alignment scores that need it are left away"):
+                for name, value in self.score(pl_module.policy, self.data, self.simulators).items():
+                    pl_module.log(f"alignment/{name}", value)

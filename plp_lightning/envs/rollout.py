@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from datamodules.types import Actor, Observation
 from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.faults import SimulatorError, blaming, check_observation, check_step, unseen
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ def rollout(
     seeds: Sequence[int],
     hold_steps: int = 0,
     observers: Sequence[Observer] = (),
+    on_fault: Callable[[SimulatorError], object] | None = None,
 ) -> Episodes:
     """Run one episode for each (task, seed).
 
@@ -52,11 +55,18 @@ def rollout(
         seeds: Seed of each episode.
         hold_steps: Control steps for which an episode goes on after its first success.
         observers: Hear everything, the observations after the last actions included.
+        on_fault: Told if the simulator raises, which makes all episodes that still run invalid; without it, that
+            ends the rollout.
 
     Returns:
         Success, divergence and length of each episode, ``(E,)`` each.
+
+    Raises:
+        UserError: If the simulator gives arrays of other shapes or types than its spec promises.
+        SimulatorError: If it raises, and nobody is told.
     """
-    observation = simulator.reset(tasks, seeds)
+    world = _World(simulator, on_fault)
+    observation = world.reset(tasks, seeds)
     for observer in observers:
         observer.begin(tasks, seeds, observation)
     running = np.arange(len(tasks))
@@ -64,7 +74,10 @@ def rollout(
     invalid, steps = np.zeros(len(tasks), dtype=bool), np.full(len(tasks), simulator.horizon)
     for t in range(1, simulator.horizon + 1):
         actions = act(observation, running)
-        step = simulator.step(actions, running)
+        step = world.step(actions, running)
+        if step is None:
+            invalid[running], steps[running] = True, t
+            break
         for observer in observers:
             observer.step(actions, step, running)
         solved_at[running[step.success]] = np.minimum(solved_at[running[step.success]], t)
@@ -79,3 +92,37 @@ def rollout(
     for observer in observers:
         observer.end(outcome)
     return outcome
+
+
+class _World:
+    """A simulator that is held to its spec, and in which no step is taken after it raised and somebody was told."""
+
+    def __init__(self, simulator: Simulator, on_fault: Callable[[SimulatorError], object] | None) -> None:
+        self.simulator, self.spec, self.on_fault, self.broken = simulator, simulator.spec(""), on_fault, False
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """First observations ``(E, …)``; such as nobody saw if the simulator raised."""
+        found = unseen(self.spec, len(tasks))
+        with self._told():
+            found = self.simulator.reset(tasks, seeds)
+            check_observation(self.simulator, found, self.spec, len(tasks))
+        return found
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step | None:
+        """Take a step of the episodes ``(n,)``; None if the simulator raises, or did before."""
+        step = None
+        with self._told():
+            if not self.broken:
+                step = check_step(self.simulator, self.simulator.step(actions, episodes), self.spec, len(episodes))
+        return step
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            with blaming(self.simulator):
+                yield
+        except SimulatorError as fault:
+            if self.on_fault is None:
+                raise
+            self.broken = True
+            self.on_fault(fault)

@@ -17,6 +17,7 @@ from datamodules.streams import Stream, generator
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
+from plp_lightning.envs.faults import blaming
 from plp_lightning.envs.maze.simulator import PointMaze
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.views import located
@@ -155,7 +156,14 @@ def partners(state: np.ndarray, maze: PointMaze, other: PointMaze) -> np.ndarray
 
 def places_of(simulator: Simulator, seen: Observation[Tensor]) -> np.ndarray:
     """Places ``(N, P)`` of states in the frame that the simulators share."""
-    return located(simulator).shared_position(seen.state.numpy())
+    width = simulator.spec("").state_size
+    if seen.state.shape[1] != width:
+        raise ConfigError(
+            f"states of {seen.state.shape[1]} numbers, but {type(simulator).__name__} shows {width}: "
+            "give the simulator that they come from"
+        )
+    with blaming(simulator):
+        return located(simulator).shared_position(seen.state.numpy())
 
 
 def sample_states(data: TransferDataModule, domain: str, count: int) -> Observation[Tensor]:

@@ -6,12 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from datamodules.errors import ConfigError
+from datamodules.specs import difference
 from datamodules.streams import Purpose, episode_seed
 from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.faults import tell_once
 from plp_lightning.envs.rollout import Episodes, Observer, rollout
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.statistics import success_interval
+from plp_lightning.methods.policy import Policy
 
 
 class Acting(Protocol):
@@ -28,7 +32,7 @@ class Outcome:
 
     success: float  # share of successful episodes; invalid ones count as failed
     episodes: int  # number that were run
-    invalid: int  # number that diverged
+    invalid: int  # number that diverged, or in which the simulator raised
     interval: tuple[float, float]  # 95 % Wilson interval of the success rate
     behaviour: Mapping[str, float] = field(default_factory=dict)  # without metrics that have nothing to tell
 
@@ -71,11 +75,28 @@ def evaluate(
 ) -> Outcome:
     """Run so many ``episodes`` of a trial at once; the tasks take turns.
 
-    Episode i always begins in the same state for a given ``seed``, whatever else is run.
+    Episode i always begins in the same state for a given ``seed``, whatever else is run. If the simulator raises,
+    episodes that still run are invalid, and a line on standard error says why.
+
+    Raises:
+        UserError: If the policy knows the domain as another than the simulator shows, or the user can mend what the
+            simulator refuses.
     """
+    _check_known(policy, simulator, trial.domain)
     tasks, seeds = trial.in_turn("evaluate", seed, episodes)
-    actor = policy.actor(trial.domain, tasks)
-    return Outcome.of(rollout(simulator, actor, tasks, seeds, observers=[*metrics, *observers]), metrics)
+    consequence = f"its episodes in domain {trial.domain!r} that still ran are invalid"
+    watching, actor = [*metrics, *observers], policy.actor(trial.domain, tasks)
+    return Outcome.of(
+        rollout(simulator, actor, tasks, seeds, 0, watching, lambda fault: tell_once(fault, consequence)), metrics
+    )
+
+
+def _check_known(policy: Acting, simulator: Simulator, domain: str) -> None:
+    if isinstance(policy, Policy):
+        shown = simulator.spec(domain).to_dict()
+        if told := difference(policy.domains[domain].to_dict(), shown, "policy"):
+            remedy = "take the simulator that it was trained for"
+            raise ConfigError(f"domain {domain!r} has {told}, as its simulator has: {remedy}")
 
 
 def evaluate_all(

@@ -15,6 +15,7 @@ from sklearn.manifold import TSNE
 
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Simulator
+from plp_lightning.envs.faults import blaming, forgiving
 from plp_lightning.envs.views import Arranged
 from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_rows
 from plp_lightning.methods.phase import Phase
@@ -76,13 +77,17 @@ class LatentPicture(Callback):
         episodes = dataset.episode_of(rows)
         tasks = [data.tasks[i] for i in dataset.episode_task[episodes]]
         seeds = dataset.episode_seed[episodes].tolist()
-        return [simulator.arrangement(task, seed) for task, seed in zip(tasks, seeds, strict=True)]
+        with forgiving("latent states are not coloured by arrangement"), blaming(simulator):
+            return [simulator.arrangement(task, seed) for task, seed in zip(tasks, seeds, strict=True)]
+        return []
 
     def _joined(self, policy: AligningPolicy, data: TransferDataModule) -> dict[str, np.ndarray]:
         if self.score is None or self.pairs == 0:
             return {}
-        states = self.score.correspondences(data, self.simulators, self.pairs)
-        return {domain: encode(policy, domain, seen).numpy() for domain, seen in (states or {}).items()}
+        with forgiving("latent states are not joined"):
+            states = self.score.correspondences(data, self.simulators, self.pairs)
+            return {domain: encode(policy, domain, seen).numpy() for domain, seen in (states or {}).items()}
+        return {}
 
 
 def latent_figure(

@@ -14,6 +14,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.faults import blaming, forgiving
 from plp_lightning.envs.rollout import Episodes, Observer
 from plp_lightning.envs.views import FloorPlan, Located, Planned
 from plp_lightning.evaluation.simulation import EvalSetting
@@ -41,15 +42,19 @@ class PathRecorder(Observer):
 
     def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
         self._tasks, self._success = tuple(tasks), np.zeros(len(tasks), dtype=np.bool_)
-        self._positions = [[place] for place in self.simulator.shared_position(observation.state)]
+        self._positions = [[place] for place in self._places(observation.state)]
 
     def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
-        places = self.simulator.shared_position(step.observation.state)
-        for episode, place in zip(episodes, places, strict=True):
+        for episode, place in zip(episodes, self._places(step.observation.state), strict=True):
             self._positions[episode].append(place)
 
     def end(self, outcome: Episodes) -> None:
         self._success = outcome.success
+
+    def _places(self, state: np.ndarray) -> np.ndarray:
+        with forgiving("its paths are not drawn"), blaming(self.simulator):
+            return self.simulator.shared_position(state)
+        return np.full((len(state), 2), np.nan)
 
     @property
     def paths(self) -> Paths:
@@ -59,8 +64,13 @@ class PathRecorder(Observer):
 
 def path_recorders(simulators: Mapping[str, Simulator], trials: Mapping[str, EvalSetting]) -> dict[str, PathRecorder]:
     """A recorder for each trial, by its name, whose domain has a floor plan."""
-    found = {name: simulators[trial.domain] for name, trial in trials.items()}
-    return {name: PathRecorder(s, s.floor_plan()) for name, s in found.items() if isinstance(s, Planned)}
+    recorders = dict[str, PathRecorder]()
+    for name, trial in trials.items():
+        simulator = simulators[trial.domain]
+        if isinstance(simulator, Planned):
+            with forgiving("its paths are not drawn"), blaming(simulator):
+                recorders[name] = PathRecorder(simulator, simulator.floor_plan())
+    return recorders
 
 
 class Panel(NamedTuple):

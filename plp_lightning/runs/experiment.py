@@ -15,6 +15,7 @@ from datamodules.problem import TransferProblem
 from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec
 from plp_lightning.envs.base import Domain, Simulator
+from plp_lightning.envs.faults import forgiving
 from plp_lightning.envs.rollout import Observer
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
@@ -112,11 +113,17 @@ class Experiment:
         return evaluate_all(policy, self.simulators, settings, episodes, seed, metrics, observers)
 
     def alignment(self, policy: Policy) -> dict[str, float]:
-        """Alignment scores of a policy at the end of a phase; empty without a score or anything to score."""
+        """Alignment scores of a policy at the end of a phase; empty without a score or anything to score.
+
+        Scores for which a simulator fails are left away.
+        """
+        scores = dict[str, float]()
         if self.score is None or not isinstance(policy, AligningPolicy):
-            return {}
-        scores = self.score(policy, self.data, self.simulators)
-        return scores | self.score.of_target(policy, self.data, self.simulators)
+            return scores
+        for measure in (self.score, self.score.of_target):
+            with forgiving("alignment scores that need it are left away"):
+                scores |= measure(policy, self.data, self.simulators)
+        return scores
 
 
 NAME = re.compile(r"(?!\.+$)[\w.-]{1,64}", re.ASCII)

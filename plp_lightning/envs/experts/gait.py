@@ -145,7 +145,7 @@ class Gait:
     def _misfit(self, features: int) -> str:
         """The first array whose shape doesn't fit those before it, for F ``features`` at the beginning."""
         expected: dict[str, tuple[int, ...]] = {"mean": (features,), "scale": (features,)}
-        for i, (weight, bias) in enumerate(self.layers):
+        for i, (_, bias) in enumerate(self.layers):
             expected |= {f"{i}.weight": (bias.size, features), f"{i}.bias": (bias.size,)}
             features = bias.size
         for name, array in (("mean", self.mean), ("scale", self.scale), *self._parameters()):

@@ -1,0 +1,99 @@
+"""Simulators that fail: what one raises is told once, and the run goes on without what it was asked for."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from datamodules.errors import UserError
+from datamodules.types import DomainSpec, Observation
+from plp_lightning.envs.base import Step
+
+
+class SimulatorError(UserError):
+    """A simulator raised; nothing that the settings say was to blame."""
+
+    def __init__(self, simulator: object, error: BaseException) -> None:
+        innermost = traceback.extract_tb(error.__traceback__)[-1]
+        self.simulator = simulator
+        self.place = f"{type(error).__name__} at {Path(innermost.filename).name}:{innermost.lineno}"
+        super().__init__(f"{type(simulator).__name__} raised {self.place}: {' '.join(str(error).split())[:200]}")
+
+
+@contextmanager
+def blaming(simulator: object) -> Iterator[None]:
+    """Call a simulator: what it raises becomes a :class:`SimulatorError`.
+
+    What the user can mend, memory that is full and being asked to stop pass as they are.
+    """
+    try:
+        yield
+    except (UserError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        if hasattr(error, "exit_code"):
+            raise
+        raise SimulatorError(simulator, error) from error
+
+
+@contextmanager
+def forgiving(consequence: str) -> Iterator[None]:
+    """Go on after the block if a simulator fails in it, and say so, with the consequence."""
+    try:
+        yield
+    except SimulatorError as fault:
+        tell_once(fault, consequence)
+
+
+def tell_once(fault: SimulatorError, consequence: str) -> None:
+    """Write a line to standard error, once for each place in which a simulator raises and each consequence."""
+    told: set[tuple[str, str]] = vars(fault.simulator).setdefault("told_faults", set())
+    if (fault.place, consequence) not in told:
+        told.add((fault.place, consequence))
+        print(f"plp: {fault}; {consequence}", file=sys.stderr)
+
+
+def check_observation(simulator: object, found: Observation[np.ndarray], spec: DomainSpec, count: int) -> None:
+    """Refuse observations that are not ``count`` of the spec: states ``(n, O)`` float32, images ``(n, H, W, C)`` uint8.
+
+    Raises:
+        UserError: Naming the simulator, what it gave and what its spec promises.
+    """
+    if not isinstance(found, Observation):
+        raise UserError(f"{type(simulator).__name__} shows {type(found).__name__}; expected an Observation: mend it")
+    _expect(simulator, "state", found.state, (count, spec.state_size), np.float32)
+    if spec.image_key is not None:
+        _expect(simulator, "image", found.image, (count, *spec.image_key.shape), np.uint8)
+
+
+def check_step(simulator: object, found: Step, spec: DomainSpec, count: int) -> Step:
+    """Refuse a step that is none of ``count`` episodes, as :func:`check_observation` does.
+
+    Returns:
+        The step; episodes whose state ``(n, O)`` is not finite are invalid.
+    """
+    if not isinstance(found, Step):
+        raise UserError(f"{type(simulator).__name__}.step gives {type(found).__name__}; expected a Step: mend it")
+    check_observation(simulator, found.observation, spec, count)
+    for name in ("success", "invalid"):
+        _expect(simulator, name, getattr(found, name), (count,), np.bool_)
+    lost = ~np.isfinite(found.observation.state).all(axis=1)
+    return found._replace(invalid=found.invalid | lost) if lost.any() else found
+
+
+def unseen(spec: DomainSpec, count: int) -> Observation[np.ndarray]:
+    """What is seen of episodes that could not begin: states ``(E, O)`` that are no numbers, black images."""
+    image = None if spec.image_key is None else np.zeros((count, *spec.image_key.shape), np.uint8)
+    return Observation(np.full((count, spec.state_size), np.nan, np.float32), image)
+
+
+def _expect(simulator: object, name: str, found: object, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    if not isinstance(found, np.ndarray) or found.shape != shape or found.dtype != dtype:
+        given = f"shape {found.shape}, type {found.dtype}" if isinstance(found, np.ndarray) else type(found).__name__
+        expected = f"shape {shape}, type {np.dtype(dtype)}"
+        raise UserError(f"{type(simulator).__name__} gives {name} of {given}; expected {expected}: mend the simulator")
