@@ -52,7 +52,6 @@ class Policy(Configured, nn.Module, ABC):
             task: Indices of the tasks ``(B_d,)`` int64, by domain.
         """
 
-    @torch.inference_mode()
     def act(self, observation: Observation[np.ndarray], domain: str, task: str | Sequence[str]) -> np.ndarray:
         """Actions ``(B, A)`` in [-1, 1] for B observations of a domain.
 
@@ -62,23 +61,35 @@ class Policy(Configured, nn.Module, ABC):
             task: Name of the task of all rows, or of each.
 
         Raises:
-            ConfigError: If the policy knows no such domain or task.
+            ConfigError: If the policy knows no such domain or task, or the domain shows states of another size.
         """
-        device, count = next(self.parameters()).device, len(observation.state)
-        seen = {domain: observation.map(lambda x: torch.as_tensor(x, device=device))}
-        names = [task] * count if isinstance(task, str) else task
-        _check_known("domain", [domain], self.acts_in)
-        _check_known("task", names, self.tasks)
-        ids = torch.tensor([self.tasks[name] for name in names], device=device)
-        return np.asarray(self.predict_actions(seen, {domain: ids})[domain].cpu())
+        names = [task] * len(observation.state) if isinstance(task, str) else task
+        return self._act(observation, domain, self._task_ids(names))
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
         """Gives a function that acts in new episodes of ``tasks``, maybe with a memory: ``(n, O)`` → ``(n, A)``."""
+        known, ids = np.arange(len(tasks)), self._task_ids(tasks)
 
         def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:
-            return self.act(observation, domain, [tasks[i] for i in running])
+            nonlocal known, ids
+            if not np.array_equal(running, known):  # seldom, so that most steps take observations alone to the device
+                known, ids = running, self._task_ids([tasks[i] for i in running])
+            return self._act(observation, domain, ids)
 
         return act
+
+    def _task_ids(self, names: Sequence[str]) -> Tensor:
+        _check_known("task", names, self.tasks)
+        return torch.tensor([self.tasks[name] for name in names], device=next(self.parameters()).device)
+
+    @torch.inference_mode()
+    def _act(self, observation: Observation[np.ndarray], domain: str, ids: Tensor) -> np.ndarray:
+        _check_known("domain", [domain], self.acts_in)
+        if observation.state.shape[1:] != (size := self.domains[domain].state_size,):
+            found = f"states of shape {observation.state.shape} in domain {domain!r}"
+            raise ConfigError(f"found {found}; expected (n, {size}): act on what the policy was trained on")
+        seen = {domain: observation.map(lambda x: torch.as_tensor(x, device=ids.device))}
+        return np.asarray(self.predict_actions(seen, {domain: ids})[domain].cpu())
 
 
 class AligningPolicy(Policy):

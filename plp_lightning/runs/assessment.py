@@ -13,6 +13,7 @@ import torch
 
 from datamodules.store.atomic import locked_folder, replacing, write_atomically
 from plp_lightning.methods.policy import Policy
+from plp_lightning.runs.devices import device_name, resolved_device
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
 
@@ -27,12 +28,12 @@ class Assessment:
 
     @cached_property
     def policy(self) -> Policy:
-        """The policy with the checkpoint's weights, ready to act."""
+        """The policy with the checkpoint's weights, ready to act, on the device that the experiment asks for."""
         torch.set_num_threads(self.experiment.threads)
         self.experiment.data.prepare_data()
         policy = self.experiment.build_policy()
         load_policy_weights(policy, self.checkpoint)
-        return policy.eval()
+        return policy.eval().to(resolved_device(self.experiment.trainer))
 
     def success(self, episodes: int | None, seed: int | None) -> dict[str, dict[str, Any]]:
         """Outcome of every trial; None stands for the experiment's own number and seed."""
@@ -44,19 +45,22 @@ class Assessment:
         return self.experiment.alignment(self.policy)
 
     def write(self, path: Path, record: dict[str, Any]) -> None:
-        """Write a record as JSON, in one visible step."""
-        write_atomically(path, json.dumps(record | {"checkpoint": str(self.checkpoint)}, indent=2) + "\n")
+        """Write a record as JSON, with checkpoint and device, in one visible step."""
+        about = {"checkpoint": str(self.checkpoint), "device": device_name(next(self.policy.parameters()).device)}
+        write_atomically(path, json.dumps(record | about, indent=2) + "\n")
 
 
 def _held_out_actions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in."""
     policy, data = assessment.policy, assessment.experiment.data
+    device = next(policy.parameters()).device
     found = {}
     for domain, rows in data.rows([*data.proxy_tasks, *data.target_tasks], "val").items():
         if domain in policy.acts_in:
             steps = data.datasets[domain].take(torch.from_numpy(rows))
             with torch.inference_mode():
-                action = policy.predict_actions({domain: steps.observation}, {domain: steps.task})[domain]
+                seen, task = steps.observation.map(lambda x: x.to(device)), steps.task.to(device)
+                action = policy.predict_actions({domain: seen}, {domain: task})[domain].cpu()
             found[domain] = (action.numpy(), steps.action.numpy())
     return found
 

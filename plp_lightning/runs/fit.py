@@ -14,6 +14,7 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
 from plp_lightning.runs.demonstrations import prepare_demonstrations
+from plp_lightning.runs.devices import device_name, on_device
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
@@ -63,9 +64,7 @@ def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pa
         )
         record = assess(experiment, phase, trainer)
         log_hyperparameters(trainer, experiment, record)
-    device = trainer.strategy.root_device
-    told = torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
-    _note_done(run, name, record | {"device": told})
+    _note_done(run, name, record | {"device": device_name(trainer.strategy.root_device)})
 
 
 def _note_done(run: RunDirectory, name: str, record: dict[str, Any]) -> None:
@@ -98,8 +97,9 @@ def check_method(experiment: Experiment) -> None:
 def assess(experiment: Experiment, phase: Phase, trainer: Trainer) -> dict[str, Any]:
     """Gives alignment scores at the end of a phase and, if the policy acts by then, its success in all trials."""
     phase.policy.eval()
-    trials = _pictured_trials(experiment, phase.policy, trainer) if phase.policy_acts else {}
-    return {"trials": trials, "alignment": experiment.alignment(phase.policy)}
+    with on_device(phase.policy, trainer.strategy.root_device):  # Lightning has put it back on the processor
+        trials = _pictured_trials(experiment, phase.policy, trainer) if phase.policy_acts else {}
+        return {"trials": trials, "alignment": experiment.alignment(phase.policy)}
 
 
 def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, dict[str, Any]]:

@@ -36,7 +36,7 @@ def check_file(path: Path, simulators: Sequence[DomainSpec]) -> None:
 
 
 def check_checkpoint(path: Path, problem: TransferProblem, content: Mapping[str, Any] | None = None) -> None:
-    """Refuse a checkpoint whose policy is for other domains or tasks than those of ``problem``.
+    """Refuse a checkpoint whose policy is for other domains or tasks than those of ``problem``, as far as it says.
 
     Args:
         path: The checkpoint.
@@ -48,7 +48,7 @@ def check_checkpoint(path: Path, problem: TransferProblem, content: Mapping[str,
     """
     found = (read_checkpoint(path) if content is None else content)["policy"]
     try:
-        told = next(_differences(found["problem"], problem.to_dict()), "")
+        told = next(_differences(problem.to_dict() | found.get("problem", {}), problem.to_dict()), "")
     except (AttributeError, KeyError, TypeError):
         told = "no domains and tasks that can be read"
     if told:

@@ -34,6 +34,8 @@ NOT_FOR_US = (
     r"Found .* module\(s\) in eval mode",
     # A resumed run writes into the folder that it was in before.
     r"Checkpoint directory .* exists and is not empty",
+    # Who asks for the processor means it.
+    r"GPU available but not used",
     # Lightning 2.6 uses a name that newer torch deprecates.
     r".*isinstance\(treespec, LeafSpec\)",
 )

@@ -1,0 +1,43 @@
+"""The device that a policy computes on, in training and afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch import Trainer
+from torch import nn
+
+from plp_lightning.runs.trainer import quiet_lightning
+
+
+def resolved_device(settings: Mapping[str, Any]) -> torch.device:
+    """Give the device that the Trainer's ``accelerator`` and ``devices`` come to, or the processor if it isn't here.
+
+    A run of another machine can be looked at without the device that it was trained on.
+    """
+    quiet_lightning()
+    asked = {name: settings[name] for name in ("accelerator", "devices") if settings.get(name) is not None}
+    silent: dict[str, Any] = {"logger": False, "enable_checkpointing": False, "enable_progress_bar": False}
+    try:
+        return Trainer(**asked, **silent).strategy.root_device
+    except (MisconfigurationException, ValueError):
+        return torch.device("cpu")
+
+
+def device_name(device: torch.device) -> str:
+    """The name of a GPU; the kind of any other device."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
+
+
+@contextmanager
+def on_device(module: nn.Module, device: torch.device) -> Iterator[None]:
+    """Have a module on a device for the block, and on the processor afterwards."""
+    module.to(device)
+    try:
+        yield
+    finally:
+        module.cpu()
