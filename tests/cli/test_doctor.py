@@ -28,6 +28,7 @@ def machine(monkeypatch: pytest.MonkeyPatch, speeds: dict[Backend, float], packa
 
     monkeypatch.setattr(doctor, "frames_per_second", measure)
     monkeypatch.setattr(doctor, "versions", lambda: packages)
+    monkeypatch.setattr(doctor, "gpus", lambda: {"usable": [], "present": [], "cuda": None, "reason": ""})
 
 
 ALL = dict.fromkeys(doctor.PACKAGES, "1.0")
