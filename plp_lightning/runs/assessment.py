@@ -16,6 +16,7 @@ from plp_lightning.methods.policy import Policy
 from plp_lightning.runs.devices import device_name, resolved_device
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
+from plp_lightning.runs.specs import check_checkpoint
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Assessment:
     def policy(self) -> Policy:
         """The policy with the checkpoint's weights, ready to act, on the device that the experiment asks for."""
         torch.set_num_threads(self.experiment.threads)
+        check_checkpoint(self.checkpoint, self.experiment.unscaled_problem)
         self.experiment.data.prepare_data()
         policy = self.experiment.build_policy()
         load_policy_weights(policy, self.checkpoint)
