@@ -110,7 +110,8 @@ class Gait:
         """Read a gait that ``plp collect --train_expert`` wrote.
 
         Raises:
-            CheckpointError: If there is no such file or it holds no gait.
+            CheckpointError: If there is no such file or it holds no gait, or the record beside it, which may be missing,
+                is none or of another body.
         """
         if not path.is_file():
             raise CheckpointError(f"no gait at {path}; name another file or train one with: {TRAIN}")
@@ -123,6 +124,8 @@ class Gait:
             raise CheckpointError(f"{path} is no gait: it lacks {error}; train it again") from error
         if flaw := gait.flaw:
             raise CheckpointError(f"{path} is no gait: {flaw}; train it again")
+        if card_path(path).exists() and (told := provenance(path).get("legs", gait.legs)) != gait.legs:
+            raise CheckpointError(f"{card_path(path)}: says {told!r} legs, but {path} moves {gait.legs}; take its own")
         return gait
 
     @property
@@ -159,13 +162,18 @@ def gait_path(legs: int) -> Path:
     return WEIGHTS / f"walker_{legs}.safetensors"
 
 
+def card_path(path: Path) -> Path:
+    """Path of the record that stands beside the gait at ``path``."""
+    return path.with_suffix(".json")
+
+
 def provenance(path: Path) -> dict[str, object]:
     """Command, seed, steps and versions that the gait at ``path`` was made with.
 
     Raises:
         CheckpointError: If the record beside it is missing or none.
     """
-    card = path.with_suffix(".json")
+    card = card_path(path)
     try:
         record = json.loads(card.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
