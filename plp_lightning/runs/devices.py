@@ -24,7 +24,7 @@ def resolved_device(settings: Mapping[str, Any]) -> torch.device:
     silent: dict[str, Any] = {"logger": False, "enable_checkpointing": False, "enable_progress_bar": False}
     try:
         return Trainer(**asked, **silent).strategy.root_device
-    except (MisconfigurationException, ValueError):
+    except (MisconfigurationException, ValueError, ImportError):
         return torch.device("cpu")
 
 

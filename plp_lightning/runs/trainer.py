@@ -54,7 +54,7 @@ def check_trainer(experiment: Experiment) -> None:
         raise ConfigError(f"{told}; expected 1 and auto: a run uses one device; start several runs side by side")
     try:
         Trainer(**experiment.trainer, logger=False, enable_checkpointing=False, enable_progress_bar=False)
-    except (MisconfigurationException, ValueError) as error:
+    except (MisconfigurationException, ValueError, ImportError) as error:
         raise ConfigError(f"trainer: {error}; mend this --trainer option") from None
 
 

@@ -96,9 +96,7 @@ def test_a_card_that_is_none_is_told_in_one_line(card: bytes | None, tmp_path: P
         provenance(tmp_path / "gait.safetensors")
 
 
-@pytest.mark.parametrize(
-    ("card", "told"), [("{", "cannot be read"), ("[]", "no record"), ('{"legs": "x"}', "'x' legs")]
-)
+@pytest.mark.parametrize(("card", "told"), [("{", "cannot be read"), ("[]", "no record"), ('{"legs": 9}', "9 legs")])
 def test_a_gait_beside_a_card_of_something_else_is_refused(card: str, told: str, tmp_path: Path) -> None:
     file = tmp_path / "gait.safetensors"
     file.write_bytes(GOOD)

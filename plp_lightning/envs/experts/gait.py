@@ -110,8 +110,8 @@ class Gait:
         """Read a gait that ``plp collect --train_expert`` wrote.
 
         Raises:
-            CheckpointError: If there is no such file or it holds no gait, or the record beside it, which may be missing,
-                is none or of another body.
+            CheckpointError: If there is no such file or it holds no gait, or the record beside it, if there is one, is
+                none or of another body.
         """
         if not path.is_file():
             raise CheckpointError(f"no gait at {path}; name another file or train one with: {TRAIN}")
