@@ -36,8 +36,6 @@ def blaming(simulator: object) -> Iterator[None]:
     except (UserError, MemoryError):
         raise
     except (Exception, SystemExit) as error:
-        if hasattr(error, "exit_code"):
-            raise
         raise SimulatorError(simulator, error) from error
 
 

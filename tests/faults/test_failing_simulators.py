@@ -14,7 +14,6 @@ from command import complaint, plp, results, smoke_run, tiny_smoke
 
 from datamodules.errors import UserError
 from datamodules.types import Actor, Observation
-from plp_lightning.callbacks.preemption import PreemptedError
 from plp_lightning.envs import LinearPoint
 from plp_lightning.envs.faults import SimulatorError, unseen
 from plp_lightning.envs.rollout import Episodes, rollout
@@ -24,6 +23,7 @@ from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate
 from plp_lightning.pictures.films import FilmRecorder, film_figure, film_frames
 from plp_lightning.pictures.paths import Panel, PathRecorder, path_figure, path_recorders
+from plp_lightning.stopping import PreemptedError
 
 TRIAL, COUNT = EvalSetting("tall", ("goal_0", "goal_1")), 6
 
