@@ -66,7 +66,7 @@ class Simulator(Configured, ABC):
         """
 
     def departures(self, *names: str) -> str:
-        """The named arguments that are not at their defaults, as the end of a spec's ``env``: ``, horizon 60``.
+        """The named arguments that are not at their defaults, as the end of a spec's ``env``: ``, radius 0.3``.
 
         Of those that are nothing is said, so that files are known which are older than an argument.
         """

@@ -18,11 +18,12 @@ from plp_lightning.envs.base import Step
 class SimulatorError(UserError):
     """A simulator raised; nothing that the settings say was to blame."""
 
-    def __init__(self, simulator: object, error: BaseException) -> None:
+    def __init__(self, simulator: object, error: BaseException, consequence: str = "") -> None:
         innermost = traceback.extract_tb(error.__traceback__)[-1]
         self.simulator = simulator
         self.place = f"{type(error).__name__} at {Path(innermost.filename).name}:{innermost.lineno}"
-        super().__init__(f"{type(simulator).__name__} raised {self.place}: {' '.join(str(error).split())[:200]}")
+        said = f"{type(simulator).__name__} raised {self.place}: {' '.join(str(error).split())[:200]}"
+        super().__init__(said + consequence)
 
 
 @contextmanager

@@ -44,7 +44,7 @@ class LinearPoint(Simulator):
 
     def spec(self, name: str) -> DomainSpec:
         keys = (ObservationKey("position", (self.state_size,)),)
-        env = f"LinearPoint({self.map_seed}){self.departures('horizon')}"
+        env = f"LinearPoint({self.map_seed})"
         return DomainSpec(name, keys, 2, control_hz=10.0, env=env)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ class SeenPoint(LinearPoint):
     def spec(self, name: str) -> DomainSpec:
         camera = ObservationKey("camera", (self.image_size, self.image_size, 3), kind="image")
         keys = (camera, ObservationKey("position", (self.state_size,)))
-        env = f"SeenPoint({self.map_seed}){self.departures('horizon')}"
+        env = f"SeenPoint({self.map_seed})"
         return DomainSpec(name, keys, 2, control_hz=10.0, env=env)
 
     def spots(self, seeds: Sequence[int]) -> np.ndarray:

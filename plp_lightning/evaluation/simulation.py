@@ -11,7 +11,7 @@ from datamodules.specs import difference
 from datamodules.streams import Purpose, episode_seed
 from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
-from plp_lightning.envs.faults import tell_once
+from plp_lightning.envs.faults import SimulatorError, tell_once
 from plp_lightning.envs.rollout import Episodes, Observer, rollout
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.statistics import success_interval
@@ -79,16 +79,21 @@ def evaluate(
     episodes that still run are invalid, and a line on standard error says why.
 
     Raises:
+        SimulatorError: If the simulator raised before any episode ended: that is no success rate of 0.
         UserError: If the policy knows the domain as another than the simulator shows, or the user can mend what the
             simulator refuses.
     """
     _check_known(policy, simulator, trial.domain)
     tasks, seeds = trial.in_turn("evaluate", seed, episodes)
-    consequence = f"its episodes in domain {trial.domain!r} that still ran are invalid"
-    watching, actor = [*metrics, *observers], policy.actor(trial.domain, tasks)
-    return Outcome.of(
-        rollout(simulator, actor, tasks, seeds, 0, watching, lambda fault: tell_once(fault, consequence)), metrics
-    )
+    faults, watching = list[SimulatorError](), [*metrics, *observers]
+    actor = policy.actor(trial.domain, tasks)
+    found = rollout(simulator, actor, tasks, seeds, observers=watching, on_fault=faults.append)
+    if faults and found.invalid.all():
+        cause, consequence = faults[0].__cause__ or faults[0], f"; no episode in domain {trial.domain!r} came to an end"
+        raise SimulatorError(simulator, cause, f"{consequence}: mend the simulator, then go on")
+    for fault in faults:
+        tell_once(fault, f"its episodes in domain {trial.domain!r} that still ran are invalid")
+    return Outcome.of(found, metrics)
 
 
 def _check_known(policy: Acting, simulator: Simulator, domain: str) -> None:

@@ -51,26 +51,34 @@ class Heard(BehaviourMetric):
 
 
 def evaluated(kind: str, nth: int) -> Outcome:
-    return evaluate(Still(), strange.Failing(2, kind, nth), TRIAL, COUNT, seed=0, metrics=[Heard()])
+    return evaluate(Still(), strange.Solving(2, kind, nth), TRIAL, COUNT, seed=0, metrics=[Heard()])
 
 
-@pytest.mark.parametrize("nth", [0, 1, 3])
+@pytest.mark.parametrize("nth", [2, 4])
 @pytest.mark.parametrize("kind", strange.Failing.RAISED)
 def test_episodes_of_a_simulator_that_raises_are_invalid(
     kind: str, nth: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = evaluated(kind, nth)
-    assert (found.success, found.episodes, found.invalid) == (0.0, COUNT, COUNT)
-    assert found.behaviour == {"heard": COUNT * max(1, nth)}
+    solved = nth - 1
+    assert (found.success, found.episodes, found.invalid) == (pytest.approx(solved / COUNT), COUNT, COUNT - solved)
     told = capsys.readouterr().err
     name = strange.Failing.RAISED[kind].__name__
-    assert told.startswith(f"plp: Failing raised {name} at strange.py:")
+    assert told.startswith(f"plp: Solving raised {name} at strange.py:")
     assert told.endswith(": mj_step: stack overflow; its episodes in domain 'tall' that still ran are invalid\n")
     assert told.count("\n") == 1
 
 
+@pytest.mark.parametrize("nth", [0, 1, 3])
+@pytest.mark.parametrize("kind", strange.Failing.RAISED)
+def test_no_episode_that_ended_is_no_success_rate(kind: str, nth: int, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SimulatorError, match="no episode in domain 'tall' came to an end: mend the simulator"):
+        evaluate(Still(), strange.Failing(2, kind, nth), TRIAL, COUNT, seed=0)
+    assert not capsys.readouterr().err
+
+
 def test_a_fault_is_told_once_for_each_place(capsys: pytest.CaptureFixture[str]) -> None:
-    simulator = strange.Failing(2, "raises")
+    simulator = strange.Solving(2, "raises")
     for _ in range(3):
         evaluate(Still(), simulator, TRIAL, COUNT, seed=0)
     assert capsys.readouterr().err.count("\n") == 1
@@ -95,7 +103,7 @@ def test_what_was_solved_before_stays_solved() -> None:
 
 
 def test_a_state_that_is_no_number_is_invalid_at_once() -> None:
-    found = evaluated("nan", 3)
+    found = evaluate(Still(), strange.Failing(2, "nan", 3), TRIAL, COUNT, seed=0, metrics=[Heard()])
     assert (found.success, found.invalid, found.behaviour["heard"]) == (0.0, COUNT, COUNT * 4)
 
 
@@ -105,7 +113,7 @@ WRONG = [(kind, nth) for kind in strange.OBSERVATIONS if kind != "nan" for nth i
 @pytest.mark.parametrize(("kind", "nth"), [*WRONG, *((kind, 2) for kind in strange.STEPS)])
 def test_wrong_shapes_and_types_stop_with_a_line(kind: str, nth: int) -> None:
     with pytest.raises(UserError, match=r"Failing.* expected ") as found:
-        evaluated(kind, nth)
+        evaluate(Still(), strange.Failing(2, kind, nth), TRIAL, COUNT, seed=0)
     assert not isinstance(found.value, SimulatorError)
     assert "\n" not in str(found.value)
 
@@ -172,15 +180,34 @@ FAILING = ["--allow_imports", "strange", "--domains.tall.simulator", "strange.Fa
 FAILING += ["--domains.tall.simulator.map_seed", "2", "--domains.tall.simulator.state_size", "7"]
 
 
+OFTEN = ["--evaluation.every_n_epochs.alignment", 1, "--evaluation.every_n_epochs.adaptation", 1]
+
+
 def test_a_run_goes_on_when_a_simulator_raises(tmp_path: Path) -> None:
-    often = ["--evaluation.every_n_epochs.alignment", 1, "--evaluation.every_n_epochs.adaptation", 1]
-    answer = plp("fit", *tiny_smoke(tmp_path), *FAILING, "--domains.tall.simulator.kind", "raises", *often)
+    solving = [word.replace("Failing", "Solving") for word in FAILING]
+    answer = plp("fit", *tiny_smoke(tmp_path), *solving, "--domains.tall.simulator.kind", "raises", *OFTEN)
     assert answer.code == 0, answer
     found = results(smoke_run(tmp_path))
-    assert [(found[name]["success"], found[name]["invalid"]) for name in ("target", "proxy")] == [(0.0, 4)] * 2
+    assert [(found[name]["success"], found[name]["invalid"]) for name in ("target", "proxy")] == [(0.5, 2)] * 2
     assert found["source"]["invalid"] == 0
-    assert answer.err.count("Failing raised RuntimeError") == 1
+    assert answer.err.count("Solving raised RuntimeError") == 1
     assert "Traceback" not in answer.err
+
+
+def test_a_run_whose_simulator_always_raises_has_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = [*tiny_smoke(tmp_path), *FAILING, "--domains.tall.simulator.kind", "raises"]
+    assert "came to an end: mend the simulator, then go on" in complaint("fit", *words)
+    run = smoke_run(tmp_path)
+    assert run.status()["state"] == "failed"
+    monkeypatch.setattr(strange.Failing, "step", LinearPoint.step)  # mended
+    answer = plp("fit", "--resume", run.path, "--allow_imports", "strange")
+    assert answer.code == 0, answer
+
+
+def test_evaluations_in_between_are_left_away(tmp_path: Path) -> None:
+    answer = plp("fit", *tiny_smoke(tmp_path), *FAILING, "--domains.tall.simulator.kind", "raises", *OFTEN)
+    assert answer.code == 2
+    assert answer.err.count("this evaluation is left away") == 1
 
 
 def test_a_run_stops_when_a_simulator_gives_wrong_shapes(tmp_path: Path) -> None:

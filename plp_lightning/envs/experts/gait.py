@@ -110,8 +110,8 @@ class Gait:
         """Read a gait that ``plp collect --train_expert`` wrote.
 
         Raises:
-            CheckpointError: If there is no such file or it holds no gait, or the record beside it, if there is one, is
-                none or of another body.
+            CheckpointError: If there is no such file, it holds no gait, or the record beside it is missing or of
+                another body.
         """
         if not path.is_file():
             raise CheckpointError(f"no gait at {path}; name another file or train one with: {TRAIN}")
@@ -124,7 +124,7 @@ class Gait:
             raise CheckpointError(f"{path} is no gait: it lacks {error}; train it again") from error
         if flaw := gait.flaw:
             raise CheckpointError(f"{path} is no gait: {flaw}; train it again")
-        if card_path(path).exists() and (told := provenance(path).get("legs", gait.legs)) != gait.legs:
+        if (told := provenance(path).get("legs")) != gait.legs:
             raise CheckpointError(f"{card_path(path)}: says {told!r} legs, but {path} moves {gait.legs}; take its own")
         return gait
 

@@ -69,7 +69,6 @@ class Lift(Simulator):
         )
         keys = tuple(ObservationKey(key, (size,), unit=unit) for key, size, unit in sizes)
         env = f"robosuite Lift, {self.robot}, OSC position, fingers down, joint noise {self.joint_noise} rad"
-        env += self.departures("horizon")
         return DomainSpec(name, keys, action_size=4, control_hz=20.0, env=env)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:

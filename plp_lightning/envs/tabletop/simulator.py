@@ -79,7 +79,7 @@ class Tabletop(Simulator):
             ObservationKey("last_hand_pos", (3,), unit="m"),
             ObservationKey("last_gripper", (1,)),
         )
-        env = f"Meta-World {self.tasks.family}, {self.view}{self.departures('horizon')}"
+        env = f"Meta-World {self.tasks.family}, {self.view}"
         return DomainSpec(name, keys, action_size=4, control_hz=80.0, env=env)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:

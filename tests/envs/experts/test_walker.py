@@ -65,6 +65,7 @@ def tiny_gait(path, legs=4):
     arrays |= {"0.weight": np.eye(3, features, 0), "0.bias": np.zeros(3)}
     arrays |= {"1.weight": np.full((2 * legs, 3), 0.5), "1.bias": np.arange(2.0 * legs)}
     save_file({name: array.astype(np.float32) for name, array in arrays.items()}, path)
+    path.with_suffix(".json").write_text(f'{{"legs": {legs}}}')
     return path
 
 
