@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
-from jsonargparse import ArgumentParser, Namespace, set_parsing_settings
+from jsonargparse import ArgumentParser, set_loader, set_parsing_settings
 from lightning.pytorch import Callback, Trainer
 
 from datamodules.amounts import DataSettings
 from datamodules.errors import ConfigError
-from datamodules.problem import TransferRoles
+from datamodules.plain_yaml import dump_yaml, parse_yaml
 from datamodules.settings import PositiveInt, Seed, Threads
-from datamodules.transfer import TransferDataModule
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
+from plp_lightning.cli.building import build
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import explain
 from plp_lightning.cli.layers import Tree, completed, insert, overlay, read_yaml, without_spare_parts
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
-from plp_lightning.evaluation.scores import AlignmentScore, JointScore
-from plp_lightning.runs.collection import ExpertCollector
-from plp_lightning.runs.experiment import Experiment, Method, PhaseFactory, PolicyFactory, check_names, check_roles
+from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory
 from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
@@ -40,73 +39,93 @@ OURS |= {"enable_checkpointing", "enable_progress_bar"}
 
 
 def parse(arguments: Sequence[str]) -> Experiment:
+    """Read configuration files and overrides as :func:`read` does, and tell which names in them have changed."""
+    experiment, changes = read(arguments)
+    tell(changes)
+    return experiment
+
+
+def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     """Read configuration files and overrides, ``--config FILE`` (repeatable) and the like, and build the experiment.
+
+    Returns:
+        The experiment, and a line for each file in which names have changed.
 
     Raises:
         ConfigError: If anything in them is wrong; one line that names it.
     """
     allowed = [*ALLOWED_IMPORTS, *option_values(arguments, "allow_imports")]
     allow_imports(allowed)
-    tree, dropped, flags = resolve(arguments, allowed)
-    parser = build_parser(tree["phases"])
+    found = resolve(arguments, allowed)
+    parser = build_parser(found.tree["phases"])
     try:
-        config = parser.parse_args(["--config", yaml.safe_dump(tree, sort_keys=False), *flags])
+        config = parser.parse_args(["--config", dump_yaml(found.tree), *found.flags])
     except argparse.ArgumentError as error:
         raise ConfigError(explain(str(error), parser)) from None
     files = map(Path, option_values(arguments, "config"))
     named = (file.stem for file in files if file.parent.name != "methods")
-    config.experiment = config.experiment or next(named, "unnamed")
-    return build(parser, config, dropped)
+    if config.experiment is None:
+        config.experiment = next(named, "unnamed")
+    return build(parser, config, found.dropped), found.changes
 
 
-def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> tuple[Tree, list[str], list[str]]:
-    """Lay the files over one another, and choose all classes, those that flags name too.
+def tell(changes: Sequence[str]) -> None:
+    """Print what has changed, one line each."""
+    for line in changes:
+        print(f"plp: {line}", file=sys.stderr)
 
-    Returns:
-        The configuration, in which every chosen class is complete; keys of alignment terms that are left away; and the
-        flags that are left for the parser.
-    """
+
+class Resolved(NamedTuple):
+    """Files and flags that choose classes, laid over one another."""
+
+    tree: Tree  # The configuration, in which every chosen class is complete
+    dropped: list[str]  # Keys of alignment terms that are left away
+    flags: list[str]  # Those that are left for the parser
+    changes: list[str]  # Lines about names that have changed
+
+
+def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> Resolved:
+    """Lay the files over one another, and choose all classes, those that flags name too."""
     contents = _contents(arguments)
     phases = _phase_names(contents.values(), option_values(arguments, "phases"))
-    tree: Tree = {}
+    tree, told = Tree(), list[str]()
     for path, content in contents.items():
         renamed, changes = rename(content, phases, tree)
-        _tell(f"{path}", changes)
+        told += _notice(f"{path}", changes)
         parts = {name: {"class_path": x} for name, x in renamed.items() if name in phases and isinstance(x, str)}
         tree = overlay(tree, renamed | parts, allowed)
-    chosen, flags = _class_flags(_flags(arguments, tree), phases)
-    chosen, changes = rename(chosen, phases, tree)
-    _tell("flags", changes)
+    words, changes = _flags(arguments, tree)
+    chosen, flags = _class_flags(words, phases)
+    chosen, more = rename(chosen, phases, tree)
     for value in option_values(arguments, "phases"):
         chosen["phases"] = _read(value)
     tree = overlay(tree, chosen, allowed)
     _check_phases(tree, phases)
     kept, dropped = without_spare_parts(tree, phases, SPARE_TERMS)
-    return completed(kept, allowed), dropped, flags
+    return Resolved(completed(kept, allowed), dropped, flags, [*told, *_notice("flags", [*changes, *more])])
 
 
 def _contents(arguments: Sequence[str]) -> dict[Path, Tree]:
     return {path: read_yaml(path) for path in [BASE, *map(Path, option_values(arguments, "config"))]}
 
 
-def _tell(place: str, changes: Sequence[str]) -> None:
-    if changes:
-        more = f", and {len(changes) - 4} more" if len(changes) > 4 else ""
-        print(f"plp: {place}: names have changed: {', '.join(changes[:4])}{more}", file=sys.stderr)
+def _notice(place: str, changes: Sequence[str]) -> list[str]:
+    more = f", and {len(changes) - 4} more" if len(changes) > 4 else ""
+    return [f"{place}: names have changed: {', '.join(changes[:4])}{more}"] if changes else []
 
 
-def _flags(arguments: Sequence[str], tree: Tree) -> list[str]:
-    """All arguments but ``--config`` and ``--phases``, in today's names."""
-    kept, words = [], iter(arguments)
+def _flags(arguments: Sequence[str], tree: Tree) -> tuple[list[str], list[str]]:
+    """All arguments but ``--config`` and ``--phases``, in today's names, and those that have changed."""
+    kept, changes, words = list[str](), list[str](), iter(arguments)
     for word in words:
         if word in ("--config", "--phases"):
-            kept += [] if next(words, "") else [word]
+            kept += [] if next(words, None) is not None else [word]
         elif not word.startswith(("--config=", "--phases=")):
             key, joint, value = word.partition("=")
             new = f"--{rename_flag(key[2:], tree)}" if key.startswith("--") else key
-            _tell("flags", [] if new == key else [f"{key} is {new}"])
+            changes += [] if new == key else [f"{key} is {new}"]
             kept.append(new + joint + value)
-    return kept
+    return kept, changes
 
 
 def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, list[str]]:
@@ -160,10 +179,35 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
 
 
 def allow_imports(packages: Sequence[str]) -> None:
-    """Let configurations name classes below ``packages`` and nothing else, nor files behind a URL."""
+    """Let configurations name classes below ``packages`` and nothing else, nor files behind a URL; one reader for all.
+
+    Raises:
+        ConfigError: If one is no package that can be imported.
+    """
+    for name in packages:
+        _check_package(name)
     set_parsing_settings(
         import_path_denylist=["*"], import_path_allowlist=list(packages), config_read_mode_fsspec_enabled=False
     )
+    set_loader("yaml", _value, (yaml.YAMLError,))
+
+
+def _check_package(name: str) -> None:
+    told = f"--allow_imports is {name!r}; expected the name of a package on Python's path, such as mine or mine.losses"
+    if not all(part.isidentifier() for part in name.split(".")):
+        raise ConfigError(told)
+    try:
+        found = find_spec(name)
+    except Exception as error:  # what a package above it does when it is imported is not ours
+        raise ConfigError(f"{told} ({type(error).__name__}: {error})") from None
+    if found is None:
+        raise ConfigError(told)
+
+
+def _value(text: str) -> Any:
+    """What a word of the command line says; ``{a, b}`` and ``a:`` are words."""
+    value = parse_yaml(text)
+    return text if isinstance(value, dict) and value and not any(x is not None for x in value.values()) else value
 
 
 def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:
@@ -179,57 +223,10 @@ def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[st
 
 def option_values(arguments: Sequence[str], name: str) -> list[str]:
     """Values of ``--name VALUE`` and ``--name=VALUE``, in order."""
-    joined = [a if a != f"--{name}" else f"{a}={b}" for a, b in zip(arguments, [*arguments, ""][1:], strict=True)]
-    return [value for a in joined if a.startswith(f"--{name}=") and (value := a.split("=", 1)[1])]
-
-
-def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()) -> Experiment:
-    """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet.
-
-    ``dropped`` are keys of alignment terms that are left away: they are null in the configuration that is kept.
-    """
-    config.score = config.score or []
-    kept = yaml.safe_load(parser.dump(config.clone(), skip_unset=False))
-    for key in dropped:
-        insert(kept, key, None)
-    made = parser.instantiate(config)
-    for key in ("domains", "method"):
-        if not made[key]:
-            raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
-    names = {"experiment": made.experiment, "method": made.method, "data.target_task": made.data.target_task}
-    check_names(names)
-    return Experiment(
-        name=made.experiment,
-        method=Method(made.method, made.policy, {name: made[name] for name in made.phases}),
-        seed=made.seed,
-        threads=made.threads,
-        run_root=Path(made.run_root),
-        domains=made.domains,
-        data=_data(made, made.data),
-        evaluation=made.evaluation,
-        score=JointScore(made.score) if made.score else None,
-        callbacks=made.callbacks,
-        trainer=dict(vars(made.trainer)),
-        config=yaml.safe_dump(kept, sort_keys=False),
-    )
-
-
-def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
-    check_roles(made.domains, data.source_domain, data.target_domain)
-    tasks = made.domains[data.source_domain].simulator.tasks
-    folder = Path(data.root or os.environ.get("PLP_DATA", "data"))
-    roles = TransferRoles(
-        domains=tuple(made.domains),
-        source_domain=data.source_domain,
-        target_domain=data.target_domain,
-        tasks=tasks.names,
-        proxy_tasks=tasks.proxies(data.target_task, data.proxy_goals),
-        target_task=data.target_task,
-        target_tasks=tasks.of(data.target_task),
-    )
-    path = Path(data.file) if data.file else folder / f"{made.experiment}.hdf5"
-    collector = ExpertCollector(made.domains, made.collection)
-    return TransferDataModule(path, roles, data, data, made.seed, data.image_memory, collector)
+    option, after = f"--{name}", [*arguments[1:], None]
+    pairs = [pair for pair in zip(arguments, after, strict=False) if pair[0].partition("=")[0] == option]
+    values = [word.partition("=")[2] if "=" in word else following for word, following in pairs]
+    return [value for value in values if value is not None]
 
 
 def _check_phases(tree: Tree, phases: Sequence[str]) -> None:
@@ -242,6 +239,6 @@ def _check_phases(tree: Tree, phases: Sequence[str]) -> None:
 
 def _read(text: str) -> Any:
     try:
-        return yaml.safe_load(text)
+        return parse_yaml(text)
     except yaml.YAMLError:
         return text

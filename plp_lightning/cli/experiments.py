@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from datamodules.errors import ConfigError
-from plp_lightning.cli.config import help_parser, option_values, parse
+from plp_lightning.cli.config import help_parser, option_values, parse, read, tell
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
 from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
@@ -36,15 +36,17 @@ def run_fit(arguments: Sequence[str]) -> None:
     elif options.resume is not None:
         _resume(Path(options.resume), rest, options.phase or options.origin)
     else:
-        _begin(parse(rest), options.phase, options.origin)
+        _begin(rest, options.phase, options.origin)
 
 
-def _begin(experiment: Experiment, phase: str | None, origin: str | None) -> None:
+def _begin(arguments: Sequence[str], phase: str | None, origin: str | None) -> None:
+    experiment, changes = read(arguments)
     wanted = _wanted(experiment, phase, origin)
     if origin is not None:
         _check_origin(experiment, Path(origin))
     check_trainer(experiment)
     check_method(experiment)
+    tell(changes)
     # Absolute, so that the run can be resumed from anywhere.
     plan = {"wanted": wanted, "origin": None if origin is None else str(Path(origin).resolve())}
     _fit(experiment, RunDirectory.create(experiment.run_path, experiment.config, _environment(), plan))

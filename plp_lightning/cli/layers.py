@@ -15,15 +15,18 @@ from typing import Any
 import yaml
 
 from datamodules.errors import ConfigError
+from datamodules.plain_yaml import parse_yaml
 from plp_lightning.cli.classes import defaults, find_class
 
 Tree = dict[str, Any]  # A configuration as YAML has it
+LARGEST = 1 << 20  # Bytes of a file of settings
 
 
 def read_yaml(path: Path) -> Tree:
     """Keys and values of a file; a :class:`ConfigError` says if it can't be read or holds something else."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            content = parse_yaml(_decoded(path, file.read(LARGEST + 1)))
     except OSError as error:
         raise ConfigError(f"{path}: can't be read ({error.strerror}); name an existing YAML file") from None
     except yaml.YAMLError as error:
@@ -31,6 +34,17 @@ def read_yaml(path: Path) -> Tree:
     if content is not None and not isinstance(content, dict):
         raise ConfigError(f"{path}: holds a {type(content).__name__}; expected keys and values, as in configs/r2r.yaml")
     return content or {}
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    if len(content) > LARGEST:
+        raise ConfigError(f"{path}: holds more than {LARGEST} bytes; expected a page of settings: name another file")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        found = f"byte {content[error.start]:#04x} in line {line}"
+        raise ConfigError(f"{path}: is no UTF-8 text ({found}); save it in that encoding") from None
 
 
 def overlay(below: Any, above: Any, allowed: Sequence[str]) -> Any:
@@ -48,7 +62,7 @@ def overlay(below: Any, above: Any, allowed: Sequence[str]) -> Any:
     classes = [part["class_path"] for part in (below, above) if "class_path" in part]
     merged = _other_class(below, above, allowed) if len(classes) == 2 and len({*classes}) == 2 else dict(below)
     for key, value in above.items():
-        if key.endswith("+"):
+        if isinstance(key, str) and key.endswith("+"):
             name = key[:-1]
             merged[name] = [*(merged.get(name) or []), *(value if isinstance(value, list) else [value])]
         else:

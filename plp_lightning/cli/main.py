@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import os
-import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from datamodules.errors import ConfigError, UserError
-from plp_lightning.stopping import PreemptedError, stoppable
+from datamodules.errors import ConfigError
+from datamodules.words import one_line
+from plp_lightning.cli.failures import answer_to
+from plp_lightning.cli.screen import loss, steady_screen
+from plp_lightning.cli.surroundings import settle_surroundings
+from plp_lightning.cli.words import read_words
+from plp_lightning.stopping import stoppable
 
 VERBS = {
     "fit": ("plp_lightning.cli.experiments:run_fit", "train every phase of a method, evaluate, report"),
@@ -23,6 +26,9 @@ VERBS = {
     "data": ("plp_lightning.cli.data:run_data", "inspect, validate or import trajectory files"),
     "doctor": ("plp_lightning.cli.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
 }
+
+KEEPS = ("fit", "collect", "test", "predict")
+"""Verbs whose results are in files."""
 
 USAGE = """usage: plp VERB [options]
 
@@ -38,44 +44,39 @@ Options of a verb: plp VERB --help"""
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a verb; a user's mistake is one line on standard error and exit code 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if not words or words[0] in ("-h", "--help"):
-        print(USAGE.format(verbs="\n".join(f"  {name:9} {text}" for name, (_, text) in VERBS.items())))
-        return
-    if words[0] == "--version":
-        print(f"plp {_installed_version()}")
-        return
-    way_on = "plp fit --resume RUN_DIR" if words[0] == "fit" else "the same command"
-    # Several runs at once must not fight for cores; set before any library starts its threads.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    settle_surroundings()
+    steady_screen()
+    way_on = "plp fit --resume RUN_DIR" if words[:1] == ["fit"] else "the same command"
     try:
         with stoppable():
-            find_verb(words[0])(words[1:])
-    except UserError as error:
-        _leave(" ".join(str(error).split()), 2)
-    except OSError as error:
-        # What the file system refused, and where: a full disk, say, or a folder that may not be written.
-        place, reason = f"{error.filename}: " if error.filename else "", error.strerror or error
-        _leave(f"{place}{reason}; expected a place that can be read and written: free or name another", 2)
-    except PreemptedError as error:
-        _leave(f"{error}; go on with {way_on}", error.exit_code)
+            _answer(read_words(words))
     except Exception as error:
-        if not _out_of_memory(error):
+        found = answer_to(error, way_on)
+        if found is None:
             raise
-        _leave(f"out of memory ({_first_line(error)}); expected less: try smaller batches or sizes, then {way_on}", 2)
+        _leave(*found)
+    _tell_loss(words)
 
 
-def _out_of_memory(error: Exception) -> bool:
-    """Python, numpy, torch and CUDA each have their own way to say it."""
-    said = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
-    return said or re.search("can't allocate memory|not enough memory|bad_alloc|out of memory", str(error)) is not None
+def _answer(words: Sequence[str]) -> None:
+    if not words or words[0] in ("-h", "--help"):
+        print(USAGE.format(verbs="\n".join(f"  {name:9} {text}" for name, (_, text) in VERBS.items())))
+    elif words[0] == "--version":
+        print(f"plp {_installed_version()}")
+    else:
+        find_verb(words[0])(words[1:])
 
 
-def _first_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__
+def _tell_loss(words: Sequence[str]) -> None:
+    """Say that the output is lost; that is a failure where nothing else is left of the work."""
+    reason = loss()
+    if reason is not None:
+        kept = bool(words) and words[0] in KEEPS
+        _leave(f"standard output: {reason}; expected a place that can be written: name another", 0 if kept else 2)
 
 
 def _leave(message: str, code: int) -> NoReturn:
-    print(f"plp: {message}", file=sys.stderr)
+    print(f"plp: {one_line(message)}", file=sys.stderr)
     sys.exit(code)
 
 

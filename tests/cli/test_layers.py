@@ -146,7 +146,7 @@ def test_a_page_sets_up_terms_for_the_methods_that_choose_them(tmp_path: Path) -
 
 
 def test_settings_of_a_phase_that_the_method_has_not_are_left_away() -> None:
-    tree, _, _ = resolve([*SMOKE, *overlay_of("contextual")], ALLOWED_IMPORTS)
+    tree, *_ = resolve([*SMOKE, *overlay_of("contextual")], ALLOWED_IMPORTS)
     assert tree["phases"] == ["alignment"]
     assert "adaptation" not in tree
 
@@ -161,7 +161,7 @@ def test_flags_choose_classes_before_defaults_are_filled_in() -> None:
 @pytest.mark.parametrize("flag", ["--policy.class_path", "--policy", "--policy="])
 def test_a_class_is_chosen_in_any_spelling(flag: str) -> None:
     words = [flag + "ContextualPolicy"] if flag.endswith("=") else [flag, "ContextualPolicy"]
-    tree, _, rest = resolve([*SMOKE, *words, "--seed", "3"], ALLOWED_IMPORTS)
+    tree, _, rest, _ = resolve([*SMOKE, *words, "--seed", "3"], ALLOWED_IMPORTS)
     assert tree["policy"]["class_path"] == "ContextualPolicy"
     assert tree["policy"]["init_args"]["hidden"] == 64, "the page says so"
     assert tree["policy"]["init_args"]["heads"] == 8

@@ -1,0 +1,91 @@
+"""A parsed configuration → an experiment."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from jsonargparse import ArgumentParser, Namespace
+
+from datamodules.amounts import DataSettings
+from datamodules.errors import ConfigError, UserError
+from datamodules.plain_yaml import dump_yaml
+from datamodules.problem import TransferRoles
+from datamodules.transfer import TransferDataModule
+from datamodules.words import expand_home
+from plp_lightning.cli.keeping import keep
+from plp_lightning.evaluation.scores import JointScore
+from plp_lightning.runs.collection import ExpertCollector
+from plp_lightning.runs.experiment import Experiment, Method, check_names, check_roles
+
+NEEDED = ("domains", "method", "policy", "phases")
+
+
+def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()) -> Experiment:
+    """Objects from a parsed configuration; nothing is read from disk and nothing simulated yet.
+
+    ``dropped`` are keys of alignment terms that are left away: they are null in the configuration that is kept.
+
+    Raises:
+        ConfigError: If an object can't be built, or the configuration not be kept.
+    """
+    config.score = config.score or []
+    for key in NEEDED:
+        if not config[key]:
+            raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
+    _settle_places(config)
+    kept, made = keep(parser, config, dropped), _made(parser, config)
+    names = {"experiment": made.experiment, "method": made.method, "data.target_task": made.data.target_task}
+    check_names(names)
+    return Experiment(
+        name=made.experiment,
+        method=Method(made.method, made.policy, {name: made[name] for name in made.phases}),
+        seed=made.seed,
+        threads=made.threads,
+        run_root=Path(made.run_root),
+        domains=made.domains,
+        data=_data(made, made.data),
+        evaluation=made.evaluation,
+        score=JointScore(made.score) if made.score else None,
+        callbacks=made.callbacks,
+        trainer=dict(vars(made.trainer)),
+        config=dump_yaml(kept),
+    )
+
+
+def _made(parser: ArgumentParser, config: Namespace) -> Namespace:
+    try:
+        made: Namespace = parser.instantiate(config)
+    except UserError:
+        raise
+    except Exception as error:  # classes of others have errors of their own for settings that cannot be
+        raise ConfigError(f"a setting is impossible: {type(error).__name__}: {error}; change it") from None
+    return made
+
+
+def _settle_places(config: Namespace) -> None:
+    """Say where things lie for good: a run finds its demonstrations from any folder."""
+    for key in ("run_root", "data.root", "data.file"):
+        if config[key] == "":
+            raise ConfigError(f"{key} is empty; expected a path: name one or leave it away")
+    config["data.root"] = str(Path(config["data.root"] or expand_home(os.environ.get("PLP_DATA") or "data")).absolute())
+    if config["data.file"] is not None:
+        config["data.file"] = str(Path(config["data.file"]).absolute())
+
+
+def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
+    check_roles(made.domains, data.source_domain, data.target_domain)
+    tasks = made.domains[data.source_domain].simulator.tasks
+    roles = TransferRoles(
+        domains=tuple(made.domains),
+        source_domain=data.source_domain,
+        target_domain=data.target_domain,
+        tasks=tasks.names,
+        proxy_tasks=tasks.proxies(data.target_task, data.proxy_goals),
+        target_task=data.target_task,
+        target_tasks=tasks.of(data.target_task),
+    )
+    path = Path(data.file) if data.file else Path(str(data.root)) / f"{made.experiment}.hdf5"
+    collector = ExpertCollector(made.domains, made.collection)
+    return TransferDataModule(path, roles, data, data, made.seed, data.image_memory, collector)

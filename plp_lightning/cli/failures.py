@@ -1,0 +1,42 @@
+"""Why a verb failed, in a line for the user, where the program is not to blame."""
+
+from __future__ import annotations
+
+import re
+
+from datamodules.errors import UserError
+from plp_lightning.stopping import PreemptedError
+
+
+def answer_to(error: Exception, way_on: str) -> tuple[str, int] | None:
+    """Message and exit code for an error; None if it is a fault of the program, of which all should be seen."""
+    if isinstance(error, UserError):
+        return str(error), 2
+    if isinstance(error, PreemptedError):
+        return f"{error}; go on with {way_on}", error.exit_code
+    if isinstance(error, OSError):
+        # What the file system refused, and where: a full disk, say, or a folder that may not be written.
+        place, reason = f"{error.filename}: " if error.filename else "", error.strerror or error
+        return f"{place}{reason}; expected a place that can be read and written: free or name another", 2
+    if _out_of_memory(error):
+        found = " ".join(str(error).split())[:160] or type(error).__name__
+        return f"out of memory ({found}); expected less: try smaller batches or sizes, then {way_on}", 2
+    if _refused_by_lightning(error):
+        return f"Lightning refuses this: {error}; mend the setting", 2
+    return None
+
+
+def _out_of_memory(error: Exception) -> bool:
+    """Python, numpy, torch and CUDA each have their own way to say it."""
+    said = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+    return said or re.search("can't allocate memory|not enough memory|bad_alloc|out of memory", str(error)) is not None
+
+
+def _refused_by_lightning(error: Exception) -> bool:
+    """True if Lightning itself raised an error: it finds some settings impossible only when training begins."""
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    module = str(place.tb_frame.f_globals.get("__name__", "")) if place is not None else ""
+    refusal = module.startswith("lightning.") and isinstance(error, ValueError | RuntimeError | TypeError)
+    return refusal or type(error).__name__ == "MisconfigurationException"
