@@ -212,6 +212,10 @@ class TransferDataModule(LightningDataModule):
 
     def train_dataloader(self) -> Loader:
         self._loader, cursor, self._cursor = self.loader(self._phase_spec()), self._cursor, None
+        if self.trainer is not None:  # an epoch that it cuts short is over, and the next one begins anew
+            limit = self.trainer.limit_train_batches
+            steps = int(limit * len(self._loader)) if isinstance(limit, float) else limit
+            self._loader.cut(steps, repeats=self.trainer.overfit_batches > 0)
         if cursor is not None:
             self._loader.load_state_dict(cursor)
         return self._loader

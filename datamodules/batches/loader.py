@@ -54,17 +54,23 @@ class Loader:
     ) -> None:
         self.datasets, self.order, self.pairs, self.batch_spec = datasets, order, pairs, batch_spec
         self._next_epoch, self._next_step = 0, 0
+        self.limit, self.repeats = order.steps, False
+
+    def cut(self, limit: int, repeats: bool) -> None:
+        """End each epoch after at most ``limit`` batches, and give those of the first epoch anew if it ``repeats``."""
+        self.limit, self.repeats = min(limit, self.order.steps), repeats
 
     def __len__(self) -> int:
         return self.order.steps
 
     def __iter__(self) -> Iterator[Batch]:
         """The rest of the epoch that the cursor is in."""
-        epoch = self._next_epoch
-        rows = self.order.epoch(epoch)
+        now = self._next_epoch
+        epoch = 0 if self.repeats else now
+        rows = self.order.epoch(epoch)[: self.limit]
         for step in range(self._next_step, len(rows)):
             last = step + 1 == len(rows)
-            self._next_epoch, self._next_step = (epoch + 1, 0) if last else (epoch, step + 1)
+            self._next_epoch, self._next_step = (now + 1, 0) if last else (now, step + 1)
             steps = {domain: _take(self.datasets[domain], r, self.batch_spec) for domain, r in rows[step].items()}
             yield Batch(steps, self.pairs(epoch, step) if self.pairs else {})
 

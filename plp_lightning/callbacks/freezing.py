@@ -7,7 +7,9 @@ from typing import Any
 
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch.callbacks import WeightAveraging
 from torch import nn
+from torch.optim.swa_utils import AveragedModel
 
 from plp_lightning.methods.phase import Phase
 
@@ -46,6 +48,10 @@ class FreezeGuard(Callback):
             self._compare(pl_module)
         self.before = self.before or _hashes(pl_module)
 
+        for callback in trainer.callbacks:  # type: ignore[attr-defined]
+            if isinstance(callback, WeightAveraging) and callback._average_model is not None:
+                _average_exactly(callback._average_model)
+
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         for module in _frozen(pl_module).values():
             module.eval()  # again: Lightning calls ``train()`` on all
@@ -63,6 +69,13 @@ class FreezeGuard(Callback):
         changed = [name for name, value in _hashes(phase).items() if value != self.before.get(name)]
         if changed:
             raise FrozenPartsChangedError(f"frozen parts changed during training: {', '.join(changed)}")
+
+
+def _average_exactly(average: AveragedModel) -> None:
+    """Make the average of equal numbers that number; rounding would let frozen parts drift from themselves."""
+    rule = average.avg_fn
+    if rule is not None:
+        average.avg_fn = lambda mean, new, count: torch.where(mean == new, new, rule(mean, new, count))
 
 
 def _hashes(phase: LightningModule) -> dict[str, str]:

@@ -67,7 +67,7 @@ def _made(parser: ArgumentParser, config: Namespace) -> Namespace:
 def _settle_places(config: Namespace) -> None:
     """Say where things lie for good: a run finds its demonstrations from any folder."""
     for key in ("run_root", "data.root", "data.file"):
-        if config[key] == "":
+        if config[key] == "" or (key == "run_root" and config[key] is None):
             raise ConfigError(f"{key} is empty; expected a path: name one or leave it away")
     config["data.root"] = str(Path(config["data.root"] or expand_home(os.environ.get("PLP_DATA") or "data")).absolute())
     if config["data.file"] is not None:

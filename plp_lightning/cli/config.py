@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class n
 from plp_lightning.cli.building import build
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import explain
-from plp_lightning.cli.layers import Tree, completed, insert, overlay, read_yaml, without_spare_parts
+from plp_lightning.cli.layers import Tree, check_shape, completed, insert, overlay, read_yaml, without_spare_parts
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
@@ -90,12 +90,14 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> Resolved:
     phases = _phase_names(contents.values(), option_values(arguments, "phases"))
     tree, told = Tree(), list[str]()
     for path, content in contents.items():
+        check_shape(content)
         renamed, changes = rename(content, phases, tree)
         told += _notice(f"{path}", changes)
         parts = {name: {"class_path": x} for name, x in renamed.items() if name in phases and isinstance(x, str)}
         tree = overlay(tree, renamed | parts, allowed)
     words, changes = _flags(arguments, tree)
     chosen, flags = _class_flags(words, phases)
+    check_shape(chosen)
     chosen, more = rename(chosen, phases, tree)
     for value in option_values(arguments, "phases"):
         chosen["phases"] = _read(value)
@@ -230,6 +232,9 @@ def option_values(arguments: Sequence[str], name: str) -> list[str]:
 
 
 def _check_phases(tree: Tree, phases: Sequence[str]) -> None:
+    for name in phases:
+        if not isinstance(tree.get(name), Mapping | None):
+            raise ConfigError(f"{name} is {tree[name]!r}; expected a class, as configs/methods have it: mend it")
     known = [name for name in phases if (tree.get(name) or {}).get("class_path")]
     for name in tree["phases"]:
         if name not in known:

@@ -18,7 +18,8 @@ from plp_lightning.cli.training import train_expert
 from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
-from plp_lightning.runs.fit import check_method, fit
+from plp_lightning.runs.fit import fit
+from plp_lightning.runs.rehearsal import check_method
 from plp_lightning.runs.results import print_results, print_success
 from plp_lightning.runs.trainer import check_trainer
 from plp_lightning.runs.versions import versions

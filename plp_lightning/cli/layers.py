@@ -19,6 +19,8 @@ from datamodules.plain_yaml import parse_yaml
 from plp_lightning.cli.classes import defaults, find_class
 
 Tree = dict[str, Any]  # A configuration as YAML has it
+GROUPS = ("domains", "data", "collection", "evaluation", "trainer")
+"""Keys that hold settings and are no objects."""
 LARGEST = 1 << 20  # Bytes of a file of settings
 
 
@@ -45,6 +47,20 @@ def _decoded(path: Path, content: bytes) -> str:
         line = content.count(b"\n", 0, error.start) + 1
         found = f"byte {content[error.start]:#04x} in line {line}"
         raise ConfigError(f"{path}: is no UTF-8 text ({found}); save it in that encoding") from None
+
+
+def check_shape(tree: Any, place: str = "") -> None:
+    """Refuse, by a :class:`ConfigError`, a group or an object's settings that are no keys and values."""
+    if isinstance(tree, list):
+        for item in tree:
+            check_shape(item, place)
+    for key, value in tree.items() if isinstance(tree, Mapping) else ():
+        name = f"{place}.{key}".lstrip(".")
+        if (key == "init_args" or name in GROUPS) and not isinstance(value, Mapping):
+            raise ConfigError(f"{name} is {value!r}; expected keys and values: mend it or leave it away")
+        if key == "class_path" and not isinstance(value, str):
+            raise ConfigError(f"{name} is {value!r}; expected a class or its import path: mend it")
+        check_shape(value, name)
 
 
 def overlay(below: Any, above: Any, allowed: Sequence[str]) -> Any:
@@ -125,9 +141,11 @@ def without_spare_parts(tree: Tree, phases: Sequence[str], terms: Sequence[str])
     dropped = []
     for phase in tree["phases"]:
         chosen = ((kept.get(phase) or {}).get("init_args") or {}).get("terms") or {}
+        if not isinstance(chosen, dict):
+            raise ConfigError(f"{phase}.terms is {chosen!r}; expected names, each with a class: mend it")
         for name, term in [*chosen.items()]:
-            if isinstance(term, str) or "class_path" in (term or {}):
-                continue
+            if not isinstance(term, dict | None) or "class_path" in (term or {}):
+                continue  # which the parser looks at
             if term is not None and name not in terms:
                 place, known = f"{phase}.terms.{name}", ", ".join(terms)
                 raise ConfigError(f"{place} has no class; give its class_path, or name one of: {known}")

@@ -39,6 +39,14 @@ class FusedAdamW(Configured, AdamW):
         super().__init__(params, lr=lr, betas=(first_moment, 0.999), weight_decay=weight_decay, fused=True)
 
 
+def let_clip(optimizer: Optimizer) -> None:
+    """Leaves it to the trainer to bring gradients of half precision to scale, so that it can clip them before a step.
+
+    Fused optimizers do so themselves, within the step, unless they say that they can't.
+    """
+    optimizer._step_supports_amp_scaling = False  # type: ignore[attr-defined]
+
+
 class PhaseSchedule(ABC):
     """A schedule that spans a phase, and is told how long that is."""
 

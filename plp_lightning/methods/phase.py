@@ -16,7 +16,7 @@ from datamodules.errors import ConfigError
 from datamodules.settings import Configured, recipe
 from datamodules.types import Batch, BatchSpec, Observation, Steps
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.methods.optimization import OptimizerFactory, PhaseSchedule, SchedulerFactory
+from plp_lightning.methods.optimization import OptimizerFactory, PhaseSchedule, SchedulerFactory, let_clip
 from plp_lightning.methods.policy import Policy
 from plp_lightning.methods.upgrade import upgrade_checkpoint
 
@@ -70,6 +70,8 @@ class Phase(Configured, LightningModule, Generic[P]):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         optimizer = self.optimizer(self.parameter_groups())
+        if self.trainer.gradient_clip_val:
+            let_clip(optimizer)
         if self.lr_scheduler is None:
             return optimizer
         schedule, interval = self.lr_scheduler(optimizer), "epoch"

@@ -21,7 +21,7 @@ from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.records import file_hash, record_hash
 from plp_lightning.runs.results import log_hyperparameters, write_results
 from plp_lightning.runs.resumption import check_done, resumption, weights_before
-from plp_lightning.runs.specs import check_checkpoint, check_file
+from plp_lightning.runs.specs import check_checkpoint
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.runs.trainer import build_trainer
 from plp_lightning.runs.versions import commit
@@ -84,14 +84,6 @@ def check_checkpoints(experiment: Experiment, run: RunDirectory, origin: RunDire
         except CheckpointError:  # missing or damaged: who goes on from it takes the one before, or tells
             continue
         check_checkpoint(path, experiment.unscaled_problem, content)
-
-
-def check_method(experiment: Experiment) -> None:
-    """Build the policy and all phases once, so that wrong settings show before minutes are spent on demonstrations."""
-    check_file(experiment.data.path, experiment.specs)
-    policy = experiment.method.policy(experiment.unscaled_problem)
-    for build in experiment.method.phases.values():
-        build(policy)
 
 
 def assess(experiment: Experiment, phase: Phase, trainer: Trainer) -> dict[str, Any]:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import copy
 import logging
 import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
-from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import Callback, Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.loggers import Logger, TensorBoardLogger
+from lightning.pytorch.plugins.environments import LightningEnvironment
+from lightning.pytorch.profilers import AdvancedProfiler, PyTorchProfiler, SimpleProfiler
 
 from datamodules.errors import ConfigError
+from datamodules.words import visible
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, Owner, RandomState, best_and_last
 from plp_lightning.callbacks.evaluation import AlignmentMetrics, SimulatorEvaluation
 from plp_lightning.callbacks.freezing import FreezeGuard
@@ -27,6 +32,15 @@ from plp_lightning.runs.resumption import Resumption
 from plp_lightning.runs.stopwatch import Stopwatch
 
 COUNTS = ("log_every_n_steps", "accumulate_grad_batches", "check_val_every_n_epoch")  # Lightning divides by them
+ENDLESS = ("max_steps", "num_sanity_val_steps")  # -1 means all of them
+NEVER = {
+    "fast_dev_run": "no checkpoint is left to go on from; use --trainer.max_epochs 1 --trainer.limit_train_batches 1",
+    "barebones": "a run logs and saves what it does; leave it away",
+    "reload_dataloaders_every_n_epochs": "demonstrations do not change while a run reads them; leave it away",
+    "model_registry": "checkpoints stay in the run directory; leave it away",
+}
+"""Settings of the Trainer that no run can have, each with the reason."""
+PROFILERS = {"simple": SimpleProfiler, "advanced": AdvancedProfiler, "pytorch": PyTorchProfiler}
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
     r"The number of training batches .* is smaller than the logging interval",
@@ -45,17 +59,45 @@ NOT_FOR_US = (
 def check_trainer(experiment: Experiment) -> None:
     """Refuse, by a :class:`ConfigError`, ``trainer`` settings that Lightning won't accept, before writing anything."""
     quiet_lightning()
-    for name in COUNTS:
-        if experiment.trainer.get(name) is not None and experiment.trainer[name] < 1:
-            raise ConfigError(f"trainer.{name} is {experiment.trainer[name]}; expected a whole number, at least 1")
-    devices, strategy = experiment.trainer.get("devices"), experiment.trainer.get("strategy")
-    if devices not in (1, "1", "auto", None) or strategy not in ("auto", None):
+    settings = experiment.trainer
+    for name, reason in NEVER.items():
+        if settings.get(name):
+            raise ConfigError(f"trainer.{name} is {settings[name]}; {reason}")
+    for name, value in settings.items():
+        _check_number(name, value)
+    devices, strategy = settings.get("devices"), settings.get("strategy")
+    if devices not in (1, "1", "auto", None) or strategy not in ("auto", None) or settings.get("num_nodes", 1) != 1:
         told = f"trainer.devices is {devices} and trainer.strategy {strategy}"
         raise ConfigError(f"{told}; expected 1 and auto: a run uses one device; start several runs side by side")
     try:
-        Trainer(**experiment.trainer, logger=False, enable_checkpointing=False, enable_progress_bar=False)
-    except (MisconfigurationException, ValueError, ImportError) as error:
-        raise ConfigError(f"trainer: {error}; mend this --trainer option") from None
+        callbacks = [*best_and_last(Path(), Phase.monitor), *copy.deepcopy([*experiment.callbacks])]
+        _lightning(settings, Path(), [MetricsFile(Path())], callbacks)
+    except Exception as error:  # Lightning's own, and what its parts raise for values that it does not look at
+        raise ConfigError(f"trainer: {error}; mend --trainer or --callbacks") from None
+
+
+def _check_number(name: str, value: object) -> None:
+    """Refuse numbers that Lightning would divide by, train nothing with, or not heed."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return
+    if name in COUNTS and value < 1:
+        raise ConfigError(f"trainer.{name} is {value}; expected a whole number, at least 1")
+    if name in ("limit_train_batches", "max_steps") and value == 0:
+        raise ConfigError(f"trainer.{name} is 0, so nothing would be trained; expected more: use plp test for none")
+    if not (value >= 0 or (name in ENDLESS and value == -1)) and name != "devices":
+        raise ConfigError(f"trainer.{name} is {value}; expected a number, at least 0")
+
+
+def _lightning(settings: Mapping[str, Any], folder: Path, loggers: list[Logger], callbacks: list[Callback]) -> Trainer:
+    """Lightning's Trainer; whatever scheduler started the process, it is a run of its own on one device."""
+    return Trainer(
+        **settings,
+        default_root_dir=folder,
+        logger=loggers,
+        callbacks=callbacks,
+        plugins=[AtomicCheckpointIO(), LightningEnvironment()],
+        enable_progress_bar=False,
+    )
 
 
 def build_trainer(
@@ -68,16 +110,12 @@ def build_trainer(
         settings["limit_val_batches"] = 0
     if resumed is not None and resumed.over:
         settings["max_steps"] = resumed.step  # no further step
-    begin = resumed.step if resumed else None
-    curves = TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=begin)
-    return Trainer(
-        **settings,
-        default_root_dir=run.path,
-        logger=[curves, MetricsFile(run.phase(name))],
-        callbacks=[*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])],
-        plugins=[AtomicCheckpointIO()],
-        enable_progress_bar=False,
-    )
+    if settings.get("profiler") in PROFILERS:
+        settings["profiler"] = PROFILERS[settings["profiler"]](run.phase(name), "profile")
+        print(visible(f"{name}: its profile goes into {run.phase(name)}/fit-profile.txt"), flush=True)
+    curves = TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed.step if resumed else None)
+    callbacks = [*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])]
+    return _lightning(settings, run.path, [curves, MetricsFile(run.phase(name))], callbacks)
 
 
 def quiet_lightning() -> None:

@@ -1,0 +1,31 @@
+"""What a run is going to build, built once before it begins, so that wrong settings show while nothing is written."""
+
+from __future__ import annotations
+
+from datamodules.errors import ConfigError, UserError
+from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.specs import check_file
+
+
+def check_method(experiment: Experiment) -> None:
+    """Build the policy, all phases, and their optimizers and schedules.
+
+    Raises:
+        ConfigError: If one can't be built.
+    """
+    try:
+        _build_all(experiment)
+    except UserError:
+        raise
+    except Exception as error:  # each class has errors of its own for settings that cannot be
+        raise ConfigError(f"a setting is impossible: {type(error).__name__}: {error}; change it") from None
+
+
+def _build_all(experiment: Experiment) -> None:
+    check_file(experiment.data.path, experiment.specs)
+    policy = experiment.method.policy(experiment.unscaled_problem)
+    for build in experiment.method.phases.values():
+        phase = build(policy)
+        optimizer = phase.optimizer(phase.parameter_groups())
+        if phase.lr_scheduler is not None:
+            phase.lr_scheduler(optimizer)
