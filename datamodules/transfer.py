@@ -215,7 +215,7 @@ class TransferDataModule(LightningDataModule):
         if self.trainer is not None:  # an epoch that it cuts short is over, and the next one begins anew
             limit = self.trainer.limit_train_batches
             steps = int(limit * len(self._loader)) if isinstance(limit, float) else limit
-            self._loader.cut(steps, repeats=self.trainer.overfit_batches > 0)
+            self._loader.cut(steps, repeats=self.trainer.overfit_batches > 0)  # type: ignore[attr-defined]
         if cursor is not None:
             self._loader.load_state_dict(cursor)
         return self._loader

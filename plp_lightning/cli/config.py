@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
-from jsonargparse import ArgumentParser, set_loader, set_parsing_settings
+from jsonargparse import ArgumentParser, Namespace, set_loader, set_parsing_settings
 from lightning.pytorch import Callback, Trainer
 
 from datamodules.amounts import DataSettings
@@ -21,7 +23,7 @@ from datamodules.settings import PositiveInt, Seed, Threads
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.cli.building import build
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
-from plp_lightning.cli.explanation import explain
+from plp_lightning.cli.explanation import OURS, explain
 from plp_lightning.cli.layers import Tree, check_shape, completed, insert, overlay, read_yaml, without_spare_parts
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
@@ -33,9 +35,6 @@ from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
 SPARE_TERMS = ("mmd", "tcc", "adversarial", "reconstruction")
 """Alignment terms that pages may set up for the methods that choose them."""
-OURS = {"callbacks", "logger", "max_epochs", "default_root_dir", "plugins"}
-OURS |= {"enable_checkpointing", "enable_progress_bar"}
-"""Arguments of the Trainer that a run sets itself."""
 
 
 def parse(arguments: Sequence[str]) -> Experiment:
@@ -58,10 +57,7 @@ def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     allow_imports(allowed)
     found = resolve(arguments, allowed)
     parser = build_parser(found.tree["phases"])
-    try:
-        config = parser.parse_args(["--config", dump_yaml(found.tree), *found.flags])
-    except argparse.ArgumentError as error:
-        raise ConfigError(explain(str(error), parser)) from None
+    config = _parsed(parser, ["--config", dump_yaml(found.tree), *found.flags])
     files = map(Path, option_values(arguments, "config"))
     named = (file.stem for file in files if file.parent.name != "methods")
     if config.experiment is None:
@@ -69,10 +65,30 @@ def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     return build(parser, config, found.dropped), found.changes
 
 
+def _parsed(parser: ArgumentParser, words: list[str]) -> Namespace:
+    told = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(told):
+            config = parser.parse_args(words)
+    except argparse.ArgumentError as error:
+        raise ConfigError(explain(str(error), parser)) from None
+    except SystemExit as leaving:  # help of a class is a parser of its own, which tells mistakes in its own way
+        if leaving.code:
+            raise ConfigError(explain(told.getvalue().splitlines()[-1], parser)) from None
+        raise
+    print(told.getvalue(), end="", file=sys.stderr)
+    return config
+
+
 def tell(changes: Sequence[str]) -> None:
     """Print what has changed, one line each."""
     for line in changes:
         print(f"plp: {line}", file=sys.stderr)
+
+
+def trusted(packages: Sequence[str]) -> list[str]:
+    """Words that trust packages of the user's: a run's own configuration cannot vouch for them."""
+    return [f"--allow_imports={name}" for name in packages]
 
 
 class Resolved(NamedTuple):
@@ -176,7 +192,9 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     parser.add_argument("--score", type=list[AlignmentScore] | None, default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
     parser.add_argument("--trainer.max_epochs", type=PositiveInt | None, help="epochs of every phase, not its own")
-    parser.add_class_arguments(Trainer, "trainer", skip=OURS, instantiate=False)
+    parser.add_class_arguments(
+        Trainer, "trainer", skip={"max_epochs", *(key.removeprefix("trainer.") for key in OURS)}, instantiate=False
+    )
     return parser
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from datamodules.errors import TrajectoryFileError
@@ -18,7 +17,9 @@ from datamodules.store.reader import TrajectoryFile
 from datamodules.store.schema import FORMAT
 from datamodules.store.validation import validate_file
 from datamodules.types import DomainSpec
+from datamodules.words import visible
 from plp_lightning.cli.options import OptionParser
+from plp_lightning.runs.printing import shown
 
 
 def run_data(arguments: Sequence[str]) -> None:
@@ -75,11 +76,11 @@ def validate(path: str) -> None:
     styles = {"error": "bold red", "warning": "yellow", "info": "dim"}
     for finding in findings:
         severity = f"[{styles[finding.severity]}]{finding.severity:<7}[/]"
-        console.print(f"{severity} {escape(finding.place)}: {escape(finding.message)}", highlight=False)
+        console.print(f"{severity} {shown(finding.place)}: {shown(finding.message)}", highlight=False)
     errors = [finding for finding in findings if finding.severity == "error"]
     if errors:
         raise TrajectoryFileError(f"{path}: {len(errors)} errors, first: {errors[0].place}: {errors[0].message}")
-    console.print(f"{escape(path)}: fit for training, {len(findings)} findings", highlight=False)
+    console.print(f"{shown(path)}: fit for training, {len(findings)} findings", highlight=False)
 
 
 def _summary(file: TrajectoryFile) -> dict[str, Any]:
@@ -106,11 +107,11 @@ def _domain(file: TrajectoryFile, spec: DomainSpec, counts: dict[str, int]) -> d
 def _show(summary: dict[str, Any]) -> None:
     console = Console()
     size = f"{summary['bytes'] / 2**20:.1f} MiB"
-    console.print(f"{escape(summary['file'])}: {summary['format']}, {size}", highlight=False, soft_wrap=True)
+    console.print(f"{shown(summary['file'])}: {shown(summary['format'])}, {size}", highlight=False, soft_wrap=True)
     for table in (_domain_table(summary), _key_table(summary), _count_table(summary)):
         console.print(table)
     console.print("provenance", style="bold")
-    console.print_json(data=summary["provenance"])
+    console.print_json(visible(dumps(summary["provenance"], ensure_ascii=False)))
 
 
 def _domain_table(summary: dict[str, Any]) -> Table:
@@ -120,7 +121,7 @@ def _domain_table(summary: dict[str, Any]) -> Table:
         span = "{min} / {mean:.1f} / {max}".format(**domain["length"]) if domain["length"] else "–"
         totals = (str(domain[name]) for name in ("episodes", "successes", "last_known", "steps"))
         actions, rate = f"{domain['action_size']}", f"{domain['control_hz']:g}"
-        table.add_row(domain["name"], escape(domain["env"]), actions, rate, *totals, span)
+        table.add_row(shown(domain["name"]), shown(domain["env"]), actions, rate, *totals, span)
     return table
 
 
@@ -129,14 +130,14 @@ def _key_table(summary: dict[str, Any]) -> Table:
     for domain in summary["domains"]:
         for key in domain["observation"]:
             shape = " × ".join(map(str, key["shape"]))
-            table.add_row(domain["name"], key["name"], key["kind"], shape, escape(key["unit"]))
+            table.add_row(shown(domain["name"]), shown(key["name"]), shown(key["kind"]), shape, shown(key["unit"]))
     return table
 
 
 def _count_table(summary: dict[str, Any]) -> Table:
-    table = Table("task", *(domain["name"] for domain in summary["domains"]))
+    table = Table("task", *(shown(domain["name"]) for domain in summary["domains"]))
     for task in summary["tasks"]:
         row = [domain["counts"][task] for domain in summary["domains"]]
         if any(row):
-            table.add_row(task, *map(str, row))
+            table.add_row(shown(task), *map(str, row))
     return table

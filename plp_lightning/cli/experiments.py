@@ -1,4 +1,4 @@
-"""The verbs that need torch: fit, collect, validate, test, predict. Arguments in, calls out, nothing more."""
+"""The verbs that make runs and demonstrations: fit and collect. Arguments in, calls out, nothing more."""
 
 from __future__ import annotations
 
@@ -9,18 +9,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from datamodules.errors import ConfigError
-from plp_lightning.cli.config import help_parser, option_values, parse, read, tell
+from plp_lightning.cli.config import help_parser, parse, read, tell, trusted
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
-from plp_lightning.runs.assessment import Assessment, held_out_losses, predict_actions
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import fit
 from plp_lightning.runs.rehearsal import check_method
-from plp_lightning.runs.results import print_results, print_success
+from plp_lightning.runs.results import print_results
 from plp_lightning.runs.trainer import check_trainer
 from plp_lightning.runs.versions import versions
 
@@ -33,6 +30,10 @@ def run_fit(arguments: Sequence[str]) -> None:
         return
     options, rest = _fit_options().parse_known_args(list(arguments))
     if options.print_config:
+        if options.resume or options.phase or options.origin:
+            raise ConfigError(
+                "--print_config prints the configuration of files and flags; drop --resume, --phase, --from"
+            )
         print(parse(rest).config, end="")
     elif options.resume is not None:
         _resume(Path(options.resume), rest, options.phase or options.origin)
@@ -55,8 +56,10 @@ def _begin(arguments: Sequence[str], phase: str | None, origin: str | None) -> N
 
 def _resume(path: Path, rest: list[str], others: str | None) -> None:
     run = RunDirectory.open(path)
-    trusted = _trusted(rest)
-    if others or len(rest) > 2 * len(trusted):
+    trusting = OptionParser(add_help=False, allow_abbrev=False)
+    trusting.add_argument("--allow_imports", action="append", default=[])
+    options, more = trusting.parse_known_args(rest)
+    if others or more:
         remedy = "drop all options but --allow_imports"
         raise ConfigError(f"--resume goes on with the configuration in {run.config}; {remedy}")
     if run.status()["state"] == "done" and run.results.exists():
@@ -64,12 +67,7 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
         print(f"{path}: done already; nothing was changed")
         return
     run.check_begun()
-    _fit(parse(["--config", str(run.config), *trusted]), run)
-
-
-def _trusted(rest: Sequence[str]) -> list[str]:
-    """Packages of the user's: a run's own configuration cannot vouch for them."""
-    return [f"--allow_imports={name}" for name in option_values(rest, "allow_imports")]
+    _fit(parse(["--config", str(run.config), *trusted(options.allow_imports)]), run)
 
 
 def _fit(experiment: Experiment, run: RunDirectory) -> None:
@@ -132,72 +130,6 @@ def _train_expert(experiment: Experiment, options: argparse.Namespace) -> None:
     train_expert(experiment, options.train_expert, options.weights, options.steps or EXPERT_STEPS)
 
 
-def run_test(arguments: Sequence[str]) -> None:
-    """``plp test``: success rates of a run's policy in the simulators."""
-    parser = _subject_options("test", "Success rates of a trained policy in the simulators.")
-    parser.add_argument("--episodes", type=positive, help="episodes of each trial; the configuration's if not given")
-    parser.add_argument("--episode_seed", type=int, help="seed of the initial states; the run's if not given")
-    parser.add_argument("--output", type=Path, help="JSON file to write; test.json in the run directory if not given")
-    options, rest = parser.parse_known_args(list(arguments))
-    assessment = _assessment(options, rest)
-    outcomes = assessment.success(options.episodes, options.episode_seed)
-    print_success(outcomes, f"{assessment.experiment.name} · {assessment.checkpoint}")
-    assessment.write(options.output or assessment.folder / "test.json", {"trials": outcomes})
-
-
-def run_validate(arguments: Sequence[str]) -> None:
-    """``plp validate``: held-out losses of a run's policy."""
-    parser = _subject_options("validate", "Held-out losses and alignment scores of a trained policy.")
-    options, rest = parser.parse_known_args(list(arguments))
-    assessment = _assessment(options, rest)
-    for name, value in (held_out_losses(assessment) | assessment.scores()).items():
-        Console().print(f"{name}: {value:.4f}", highlight=False)
-
-
-def run_predict(arguments: Sequence[str]) -> None:
-    """``plp predict``: the policy's actions on held-out trajectories, beside the expert's."""
-    parser = _subject_options("predict", "Actions of a trained policy on held-out trajectories, as .npz.")
-    parser.add_argument("--output", type=Path, help="file to write; predictions.npz in the run directory if not given")
-    options, rest = parser.parse_known_args(list(arguments))
-    assessment = _assessment(options, rest)
-    print(predict_actions(assessment, options.output or assessment.folder / "predictions.npz"))
-
-
-def _assessment(options: argparse.Namespace, rest: list[str]) -> Assessment:
-    if rest and not rest[0].startswith("-"):
-        return _of_run(Path(rest[0]), rest[1:], options)
-    if options.checkpoint is None:
-        raise ConfigError("nothing to look at; name a run directory first, or --config FILE with --checkpoint FILE")
-    return Assessment(parse(rest), options.checkpoint, Path())
-
-
-def _of_run(path: Path, rest: list[str], options: argparse.Namespace) -> Assessment:
-    trusted = _trusted(rest)
-    if len(rest) > 2 * len(trusted):
-        raise ConfigError(f"{rest[0]!r} is not accepted with a run directory, whose own configuration is used")
-    run = RunDirectory.open(path)
-    run.check_begun()
-    experiment = parse(["--config", str(run.config), *trusted])
-    if options.phase not in (None, *experiment.method.phases):
-        raise ConfigError(
-            f"--phase is {options.phase!r}; the phases of {path} are {', '.join(experiment.method.phases)}"
-        )
-    done = [name for name in experiment.method.phases if run.checkpoint(name).exists()]
-    if not done:
-        raise ConfigError(f"{run.path}: has no checkpoint yet; finish a phase with plp fit --resume {run.path}")
-    return Assessment(experiment, run.checkpoint(options.phase or done[-1], options.which), run.path)
-
-
-def _subject_options(verb: str, description: str) -> OptionParser:
-    usage = f"plp {verb} RUN_DIR [options]\n       plp {verb} --config FILE … --checkpoint FILE [options]"
-    parser = OptionParser(f"plp {verb}", usage=usage, description=description, allow_abbrev=False)
-    told = "checkpoint, to be used with --config instead of a run directory"
-    parser.add_argument("--checkpoint", type=Path, help=told)
-    parser.add_argument("--phase", help="phase whose checkpoint to use; the last one if not given")
-    parser.add_argument("--which", choices=["last", "best"], default="last", help="which checkpoint of the phase")
-    return parser
-
-
 def _fit_options() -> OptionParser:
     description = "Train every phase of a method, evaluate and report."
     parser = OptionParser("plp fit", description=description, add_help=False, allow_abbrev=False)
@@ -220,7 +152,7 @@ def _collect_options() -> OptionParser:
 
 def _helped(arguments: Sequence[str], options: OptionParser) -> bool:
     """Print all help if it is asked for; tell whether it was."""
-    asked = not {"-h", "--help"}.isdisjoint(arguments)
+    asked = any(word in ("-h", "--help") or word.startswith("--help=") for word in arguments)
     for parser in (options, help_parser(arguments)) if asked else ():
         parser.print_help()
     return asked

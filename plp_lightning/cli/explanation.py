@@ -12,6 +12,15 @@ from jsonargparse import ArgumentParser
 from plp_lightning.cli.classes import known_classes
 
 GIVE = "give an experiment, such as --config configs/r2r.yaml"
+OURS = {
+    "trainer.callbacks": "a run has its own: append yours with --callbacks+=CLASS",
+    "trainer.logger": "every run logs to TensorBoard and to metrics.csv, and to no other logger yet: leave it away",
+    "trainer.default_root_dir": "everything is in the run directory: choose where with --run_root",
+    "trainer.plugins": "a run has its own: leave it away",
+    "trainer.enable_checkpointing": "a run always saves where it stands: leave it away",
+    "trainer.enable_progress_bar": "a run shows its progress in its own way: leave it away",
+}
+"""Arguments of Lightning's Trainer that a run sets itself, and what to do instead."""
 NEAR = 0.7  # Similarity from which a known word is offered in place of an unknown one
 
 
@@ -30,8 +39,14 @@ def _forbidden(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
     return f"{place}: importing {found[1]!r} is not allowed; {trust}"
 
 
+def _stray_word(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
+    return f"{found[1]!r} belongs to no option; expected --config FILE and options: name one before it or leave it away"
+
+
 def _unknown_key(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
     full = ".".join([*([] if place == "the configuration" else [place]), *found.groups()])
+    if full in OURS:
+        return f"{full} is not for files and flags to set; {OURS[full]}"
     known = _known_words(parser) | set(place.split("."))
     return f"unknown key {full!r}; " + _hint(full, known, "see plp fit --help")
 
@@ -50,7 +65,8 @@ COMPLAINTS: list[tuple[str, Callable[[str, re.Match[str], ArgumentParser], str]]
     (r"Importing '([^']+)' is not allowed", _forbidden),
     (r"Option '([^']+)' is not accepted", _unknown_key),
     (r"Group '([^']+)' does not accept option '([^']+)'", _unknown_key),
-    (r"unrecognized arguments: (?:--)?([^\s=]+)", _unknown_key),
+    (r"unrecognized arguments: --([^\s=]+)", _unknown_key),
+    (r"unrecognized arguments: (.+)", _stray_word),
     (r"Expected a dot import path string: (\S+)", _unknown_class),
     (r"Not of type \w+: (.+?; expected [^\n|]+?)(?:\. Got value|\n|$)", lambda at, x, _: f"{at} is {x[1]}; change it"),
     (r"Expected an? (.+?)\. Got value: (.+?)(?:\. Got value|\n|$)", _wrong_type),

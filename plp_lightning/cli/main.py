@@ -19,9 +19,9 @@ from plp_lightning.stopping import stoppable
 VERBS = {
     "fit": ("plp_lightning.cli.experiments:run_fit", "train every phase of a method, evaluate, report"),
     "collect": ("plp_lightning.cli.experiments:run_collect", "collect the demonstrations that an experiment lacks"),
-    "validate": ("plp_lightning.cli.experiments:run_validate", "held-out losses and alignment scores of a run"),
-    "test": ("plp_lightning.cli.experiments:run_test", "success rates of a run in the simulators"),
-    "predict": ("plp_lightning.cli.experiments:run_predict", "actions of a run's policy on held-out trajectories"),
+    "validate": ("plp_lightning.cli.assessing:run_validate", "held-out losses and alignment scores of a run"),
+    "test": ("plp_lightning.cli.assessing:run_test", "success rates of a run in the simulators"),
+    "predict": ("plp_lightning.cli.assessing:run_predict", "actions of a run's policy on held-out trajectories"),
     "report": ("plp_lightning.cli.report:run_report", "success rates of many runs beside the paper's"),
     "data": ("plp_lightning.cli.data:run_data", "inspect, validate or import trajectory files"),
     "doctor": ("plp_lightning.cli.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from datamodules.store.atomic import write_atomically
+from datamodules.words import visible
 from plp_lightning.cli.options import OptionParser
 from plp_lightning.report.records import read_records
 from plp_lightning.report.tables import comma_separated, markdown
@@ -19,7 +20,7 @@ def run_report(arguments: Sequence[str]) -> None:
     options = parser.parse_args(list(arguments))
     records = read_records(options.runs)
     if options.out is None:
-        print(markdown(records), end="")
+        print(visible(markdown(records)), end="")
         return
     options.out.mkdir(parents=True, exist_ok=True)
     for name, text in {"report.md": markdown(records), "report.csv": comma_separated(records)}.items():

@@ -11,9 +11,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from datamodules.errors import MissingTrajectoriesError
 from datamodules.store.atomic import locked_folder, replacing, write_atomically
+from datamodules.transfer import TransferDataModule
 from plp_lightning.methods.policy import Policy
+from plp_lightning.runs.demonstrations import check_fingerprint
 from plp_lightning.runs.devices import device_name, resolved_device
+from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.specs import check_checkpoint
@@ -26,16 +30,37 @@ class Assessment:
     experiment: Experiment
     checkpoint: Path
     folder: Path  # of results, if no other is named
+    run: RunDirectory | None = None  # that the checkpoint is of, if it is named
 
     @cached_property
     def policy(self) -> Policy:
-        """The policy with the checkpoint's weights, ready to act, on the device that the experiment asks for."""
+        """The policy with the checkpoint's weights, on the device that the experiment asks for.
+
+        The checkpoint brings the scaling of states: no demonstrations are needed to act.
+        """
         torch.set_num_threads(self.experiment.threads)
         check_checkpoint(self.checkpoint, self.experiment.unscaled_problem)
-        self.experiment.data.prepare_data()
-        policy = self.experiment.build_policy()
+        policy = self.experiment.method.policy(self.experiment.unscaled_problem)
         load_policy_weights(policy, self.checkpoint)
         return policy.eval().to(resolved_device(self.experiment.trainer))
+
+    @cached_property
+    def data(self) -> TransferDataModule:
+        """The demonstrations: those of the run, or those of the files' experiment, collected if they are missing.
+
+        Raises:
+            TrajectoryFileError: If they are not those that the run began with.
+            MissingTrajectoriesError: If the run's are not where they were.
+        """
+        data = self.experiment.data
+        if self.run is None:
+            data.prepare_data()
+        elif data.missing():
+            remedy = "restore the file, or set PLP_DATA to the folder that it is in"
+            raise MissingTrajectoriesError(f"{data.path}: does not hold the run's demonstrations; {remedy}")
+        else:
+            check_fingerprint(data, self.run)
+        return data
 
     def success(self, episodes: int | None, seed: int | None) -> dict[str, dict[str, Any]]:
         """Outcome of every trial; None stands for the experiment's own number and seed."""
@@ -44,6 +69,7 @@ class Assessment:
 
     def scores(self) -> dict[str, float]:
         """Alignment scores."""
+        assert self.data is self.experiment.data
         return self.experiment.alignment(self.policy)
 
     def write(self, path: Path, record: dict[str, Any]) -> None:
@@ -54,7 +80,7 @@ class Assessment:
 
 def _held_out_actions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in."""
-    policy, data = assessment.policy, assessment.experiment.data
+    policy, data = assessment.policy, assessment.data
     device = next(policy.parameters()).device
     found = {}
     for domain, rows in data.rows([*data.proxy_tasks, *data.target_tasks], "val").items():

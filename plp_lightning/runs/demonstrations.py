@@ -22,10 +22,11 @@ def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
     finally:
         spent = run.status().get("collection_seconds", 0.0) + time.monotonic() - began
         run.write_json("status.json", run.status() | {"collection_seconds": spent})
-    run.write_json("status.json", run.status() | {"data_sha256": _same_fingerprint(experiment.data, run)})
+    run.write_json("status.json", run.status() | {"data_sha256": check_fingerprint(experiment.data, run)})
 
 
-def _same_fingerprint(data: TransferDataModule, run: RunDirectory) -> str:
+def check_fingerprint(data: TransferDataModule, run: RunDirectory) -> str:
+    """Hash of the demonstrations; a :class:`TrajectoryFileError` says if the run began with others."""
     begun_with = run.status().get("data_sha256", data.fingerprint)
     if begun_with != data.fingerprint:
         found = f"the demonstrations have changed since the run at {run.path} began"

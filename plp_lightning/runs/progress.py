@@ -23,7 +23,11 @@ class JobProgress:
         self.done, self.began, self.last_line = 0, time.monotonic(), time.monotonic()
         self.console = Console()
         count = (BarColumn(), MofNCompleteColumn(), TextColumn(unit), TimeElapsedColumn(), TimeRemainingColumn())
-        columns = (TextColumn("{task.description}"), *count, TextColumn("{task.fields[note]}"))
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            *count,
+            TextColumn("{task.fields[note]}", markup=False),
+        )
         self.bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
         self.row = self.bar.add_task(label, total=total, note="")
 

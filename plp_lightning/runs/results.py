@@ -15,6 +15,7 @@ from rich.table import Table
 from plp_lightning.evaluation.simulation import Outcome
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.printing import shown
 from plp_lightning.runs.settings import config_hash, differing_settings
 from plp_lightning.runs.versions import OURS, commit, versions
 
@@ -75,7 +76,7 @@ def print_results(results: Mapping[str, Any], run: RunDirectory) -> None:
     scores = ", ".join(f"{name} {value:.3f}" for name, value in results["alignment"].items())
     times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
     lines = f"alignment: {scores or 'not scored'}\ntime: {times}\nrun directory: {run.path}"
-    Console(soft_wrap=True).print(lines, highlight=False)
+    Console(soft_wrap=True).print(shown(lines), highlight=False)
 
 
 def print_success(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
@@ -84,13 +85,13 @@ def print_success(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None
 
 
 def _print_table(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:
-    table = Table(title=title)
-    shown = {trial: outcomes[trial] for trial in ROWS if trial in outcomes}
-    behaviour = list(dict.fromkeys(name for outcome in shown.values() for name in outcome if name not in COUNTED))
+    table = Table(title=shown(title))
+    trials = {trial: outcomes[trial] for trial in ROWS if trial in outcomes}
+    behaviour = list(dict.fromkeys(name for outcome in trials.values() for name in outcome if name not in COUNTED))
     table.add_column("success", no_wrap=True)
     for column in ("rate", "95 % interval", "before adaptation", "episodes", "invalid", *behaviour):
-        table.add_column(column.replace("_", " "), justify="right")
-    for trial, outcome in shown.items():
+        table.add_column(shown(column.replace("_", " ")), justify="right")
+    for trial, outcome in trials.items():
         table.add_row(ROWS[trial], *_cells(outcome), *(_number(outcome.get(name)) for name in behaviour))
     Console(width=None if Console().is_terminal else 110).print(table)
 
