@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,8 @@ def completed(tree: Any, allowed: Sequence[str]) -> Any:
 def _is_plain(value: Any) -> bool:
     if isinstance(value, list | tuple):
         return all(map(_is_plain, value))
-    return value is None or isinstance(value, bool | int | float | str) or dataclasses.is_dataclass(value)
+    plain = value is None or (isinstance(value, bool | int | float | str) and not isinstance(value, Enum))
+    return plain or dataclasses.is_dataclass(value)
 
 
 def _as_yaml(value: Any) -> Any:

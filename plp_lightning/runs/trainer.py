@@ -40,6 +40,8 @@ NEVER = {
     "model_registry": "checkpoints stay in the run directory; leave it away",
 }
 """Settings of the Trainer that no run can have, each with the reason."""
+HALVES = ("16-true", "bf16-true", "transformer-engine", "transformer-engine-float16")
+"""Precisions that leave policies with half the bits."""
 PROFILERS = {"simple": SimpleProfiler, "advanced": AdvancedProfiler, "pytorch": PyTorchProfiler}
 NOT_FOR_US = (
     # An epoch of the adaptation phase may be shorter than the logging interval; held-out losses are logged anyway.
@@ -65,6 +67,9 @@ def check_trainer(experiment: Experiment) -> None:
             raise ConfigError(f"trainer.{name} is {settings[name]}; {reason}")
     for name, value in settings.items():
         _check_number(name, value)
+    if str(settings.get("precision")) in HALVES:
+        told = f"trainer.precision is {settings['precision']}; expected bf16-mixed or 16-mixed"
+        raise ConfigError(f"{told}: policies act on states of 32 bits, with weights of 32 bits or more")
     devices, strategy = settings.get("devices"), settings.get("strategy")
     if devices not in (1, "1", "auto", None) or strategy not in ("auto", None) or settings.get("num_nodes", 1) != 1:
         told = f"trainer.devices is {devices} and trainer.strategy {strategy}"
@@ -83,7 +88,9 @@ def _check_number(name: str, value: object) -> None:
     if name in COUNTS and value < 1:
         raise ConfigError(f"trainer.{name} is {value}; expected a whole number, at least 1")
     if name in ("limit_train_batches", "max_steps") and value == 0:
-        raise ConfigError(f"trainer.{name} is 0, so nothing would be trained; expected more: use plp test for none")
+        raise ConfigError(
+            f"trainer.{name} is {value}, so nothing would be trained; expected more: use plp test for none"
+        )
     if not (value >= 0 or (name in ENDLESS and value == -1)) and name != "devices":
         raise ConfigError(f"trainer.{name} is {value}; expected a number, at least 0")
 
@@ -115,6 +122,7 @@ def build_trainer(
         print(visible(f"{name}: its profile goes into {run.phase(name)}/fit-profile.txt"), flush=True)
     curves = TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed.step if resumed else None)
     callbacks = [*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])]
+    callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
     return _lightning(settings, run.path, [curves, MetricsFile(run.phase(name))], callbacks)
 
 
@@ -141,4 +149,4 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: 
         found.append(ReconstructionPicture(plan.reconstructions))
     last, monitor = run.checkpoint(name), phase.monitor if experiment.data.val_fraction > 0 else None
     found.append(Owner(last, run.identity, name))
-    return [*found, PhaseProgress(name), Preemption(last), *best_and_last(last.parent, monitor)]
+    return [*found, PhaseProgress(name), *best_and_last(last.parent, monitor)]
