@@ -51,7 +51,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.report": {"datamodules.errors"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
     | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping"},
-    "plp_lightning.cli.main": {"datamodules.errors", "datamodules.words", "plp_lightning.cli", "plp_lightning.stopping"},
+    "plp_lightning.cli.main": {
+        "datamodules.errors",
+        "datamodules.words",
+        "plp_lightning.cli",
+        "plp_lightning.stopping",
+    },
     # The command line joins everything.
     "plp_lightning.cli": ALL,
     "plp_lightning.__main__": {"plp_lightning.cli"},

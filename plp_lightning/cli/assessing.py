@@ -56,7 +56,7 @@ def _options(verb: str, arguments: Sequence[str], description: str) -> OptionPar
     if _names_files(arguments):
         parser.add_argument("--checkpoint", type=Path, required=True, help="checkpoint of a policy set up by the files")
         return parser
-    parser.add_argument("run", type=Path, metavar="RUN_DIR", help="run whose policy to look at")
+    parser.add_argument("run", type=Path, nargs="?", metavar="RUN_DIR", help="run whose policy to look at")
     parser.add_argument("--phase", help="phase whose checkpoint to use; the last one if not given")
     parser.add_argument("--which", choices=["last", "best"], default="last", help="which checkpoint of the phase")
     parser.add_argument("--allow_imports", action="append", default=[], help="package of yours that the run uses")
@@ -71,6 +71,8 @@ def _assessment(parser: OptionParser, arguments: Sequence[str]) -> tuple[Assessm
     if option_values(arguments, "checkpoint"):
         raise ConfigError("--checkpoint goes with --config FILE; a run directory has its own: name --phase or --which")
     options = parser.parse_args(list(arguments))
+    if options.run is None:
+        raise ConfigError("nothing to look at; name a run directory first, or --config FILE with --checkpoint FILE")
     return _of_run(options.run, options), options
 
 

@@ -16,7 +16,7 @@ from plp_lightning.cli.training import train_expert
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import fit
-from plp_lightning.runs.rehearsal import check_method
+from plp_lightning.runs.rehearsal import check_demonstrations, check_method
 from plp_lightning.runs.results import print_results
 from plp_lightning.runs.trainer import check_trainer
 from plp_lightning.runs.versions import versions
@@ -48,6 +48,7 @@ def _begin(arguments: Sequence[str], phase: str | None, origin: str | None) -> N
         _check_origin(experiment, Path(origin))
     check_trainer(experiment)
     check_method(experiment)
+    check_demonstrations(experiment)
     tell(changes)
     # Absolute, so that the run can be resumed from anywhere.
     plan = {"wanted": wanted, "origin": None if origin is None else str(Path(origin).resolve())}

@@ -8,7 +8,7 @@ from datamodules.errors import UserError
 from plp_lightning.stopping import PreemptedError
 
 
-def answer_to(error: Exception, way_on: str) -> tuple[str, int] | None:
+def answer_to(error: BaseException, way_on: str) -> tuple[str, int] | None:
     """Message and exit code for an error; None if it is a fault of the program, of which all should be seen."""
     if isinstance(error, UserError):
         return str(error), 2
@@ -26,13 +26,13 @@ def answer_to(error: Exception, way_on: str) -> tuple[str, int] | None:
     return None
 
 
-def _out_of_memory(error: Exception) -> bool:
+def _out_of_memory(error: BaseException) -> bool:
     """Python, numpy, torch and CUDA each have their own way to say it."""
     said = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
     return said or re.search("can't allocate memory|not enough memory|bad_alloc|out of memory", str(error)) is not None
 
 
-def _refused_by_lightning(error: Exception) -> bool:
+def _refused_by_lightning(error: BaseException) -> bool:
     """True if Lightning itself raised an error: it finds some settings impossible only when training begins."""
     place = error.__traceback__
     while place is not None and place.tb_next is not None:

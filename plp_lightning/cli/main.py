@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         with stoppable():
             _answer(read_words(words))
-    except Exception as error:
+    except BaseException as error:  # being asked to stop is no Exception
         found = answer_to(error, way_on)
         if found is None:
             raise

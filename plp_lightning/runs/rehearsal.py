@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from datamodules.errors import ConfigError, UserError
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.specs import check_file
@@ -29,3 +31,18 @@ def _build_all(experiment: Experiment) -> None:
         optimizer = phase.optimizer(phase.parameter_groups())
         if phase.lr_scheduler is not None:
             phase.lr_scheduler(optimizer)
+
+
+def check_demonstrations(experiment: Experiment) -> None:
+    """Look at the trajectory file, if there is one.
+
+    Raises:
+        OSError: If there can be no file of that name.
+        UserError: If it is no trajectory file, or its demonstrations were collected otherwise.
+    """
+    data = experiment.data
+    with contextlib.suppress(FileNotFoundError):
+        data.path.stat()
+        if data.collector is not None:
+            data.collector.check(data.path)
+        data.missing()

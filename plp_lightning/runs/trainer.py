@@ -120,7 +120,9 @@ def build_trainer(
     if settings.get("profiler") in PROFILERS:
         settings["profiler"] = PROFILERS[settings["profiler"]](run.phase(name), "profile")
         print(visible(f"{name}: its profile goes into {run.phase(name)}/fit-profile.txt"), flush=True)
-    curves = TensorBoardLogger(run.path, name=name, version="", default_hp_metric=False, purge_step=resumed.step if resumed else None)
+    curves = TensorBoardLogger(
+        run.path, name=name, version="", default_hp_metric=False, purge_step=resumed.step if resumed else None
+    )
     callbacks = [*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])]
     callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
     return _lightning(settings, run.path, [curves, MetricsFile(run.phase(name))], callbacks)
