@@ -48,6 +48,7 @@ class FreezeGuard(Callback):
             self._compare(pl_module)
         self.before = self.before or _hashes(pl_module)
 
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         for callback in trainer.callbacks:  # type: ignore[attr-defined]
             if isinstance(callback, WeightAveraging) and callback._average_model is not None:
                 _average_exactly(callback._average_model)
