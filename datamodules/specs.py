@@ -11,12 +11,14 @@ def difference(found: Mapping[str, Any], expected: Mapping[str, Any], place: str
 
     Args:
         found: What ``place`` says: state keys with shapes ``(O,)``, actions ``(A,)`` and so on. Fields that it lacks,
-            as earlier versions may have left them out, are not compared.
+            as earlier versions may have left them out, are not compared; limits that are not there are none.
         expected: What it should say.
         place: In a word or two, where ``found`` comes from, such as ``file``.
         env: Whether the simulators' own words for themselves have to be the same.
     """
-    for field, wanted in expected.items():
+    unlimited = dict.fromkeys(("action_low", "action_high"))
+    found = {**unlimited, **found}
+    for field, wanted in {**unlimited, **expected}.items():
         given = found.get(field, wanted)
         if field == "observation":
             told = _key_difference({key["name"]: key for key in given}, {key["name"]: key for key in wanted}, place)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, T
 import numpy as np
 
 from datamodules.errors import UserError
+from datamodules.limits import Limits, check_limits, to_owner
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,17 +50,22 @@ class ObservationKey:
 
 @dataclass(frozen=True)
 class DomainSpec:
-    """A robot and its observation and action space; actions lie in [-1, 1]."""
+    """A robot and its observation and action space; actions lie in [-1, 1], whatever its owner's units are."""
 
     name: str
     observation: tuple[ObservationKey, ...]
     action_size: int
     control_hz: float
     env: str = ""  # What simulates it, for the record: robot, simulator, version-independent settings
+    action_low: tuple[float, ...] | None = None
+    """``(A,)``: what -1 stands for in the owner's units; None, as for ``action_high``, if actions need no scaling."""
+    action_high: tuple[float, ...] | None = None  # ``(A,)``: what 1 stands for
 
     def __post_init__(self) -> None:
         if not self.state_keys:
             raise UserError(f"domain {self.name!r} has no state key; at least one is needed")
+        if self.action_low is not None or self.action_high is not None:
+            check_limits(self.name, self.action_size, (self.action_low or (), self.action_high or ()))
 
     @property
     def state_keys(self) -> tuple[ObservationKey, ...]:
@@ -89,9 +95,19 @@ class DomainSpec:
                 raise UserError(f"domain {self.name!r} has no state key {name!r}; it has: {', '.join(spans)}")
         return [column for name in names for column in spans[name]]
 
+    @property
+    def action_limits(self) -> Limits:
+        """What -1 and 1 stand for in the owner's units, ``(A,)`` each."""
+        return self.action_low or (-1.0,) * self.action_size, self.action_high or (1.0,) * self.action_size
+
+    def owner_actions(self, actions: np.ndarray) -> np.ndarray:
+        """Actions ``(…, A)`` in [-1, 1] → float64 in the owner's units; without limits, as they are."""
+        return actions if self.action_low is None else to_owner(actions, self.action_limits)
+
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists, strings and numbers, for JSON and checkpoints."""
-        plain = asdict(self)
+        """Plain lists, strings and numbers, for JSON and checkpoints; without limits of actions if there are none."""
+        plain = {name: value for name, value in asdict(self).items() if value is not None}
+        plain |= {name: [*plain[name]] for name in ("action_low", "action_high") if name in plain}
         plain["observation"] = [{**asdict(key), "shape": list(key.shape)} for key in self.observation]
         return plain
 
@@ -102,7 +118,8 @@ class DomainSpec:
             (k["name"], tuple(k["shape"]), k.get("kind", "state"), k.get("unit", "")) for k in plain["observation"]
         ]
         keys = tuple(ObservationKey(*key) for key in found)
-        return cls(plain["name"], keys, plain["action_size"], plain["control_hz"], plain.get("env", ""))
+        limits = (tuple(plain[name]) if name in plain else None for name in ("action_low", "action_high"))
+        return cls(plain["name"], keys, plain["action_size"], plain["control_hz"], plain.get("env", ""), *limits)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from plp_lightning.evaluation.scores import AlignmentScore
     from plp_lightning.methods import Adaptation, AligningPolicy, Alignment, Phase, Policy, PortablePolicy
     from plp_lightning.methods.plp.terms import AlignmentTerm, EncodedBatch
+    from plp_lightning.recording import Recorder
     from plp_lightning.runs.policies import load_policy
 
 _HOMES = {
@@ -29,6 +30,7 @@ _HOMES = {
     "plp_lightning.evaluation.scores": ("AlignmentScore",),
     "plp_lightning.methods": ("Adaptation", "AligningPolicy", "Alignment", "Phase", "Policy", "PortablePolicy"),
     "plp_lightning.methods.plp.terms": ("AlignmentTerm", "EncodedBatch"),
+    "plp_lightning.recording": ("Recorder",),
     "plp_lightning.runs.policies": ("load_policy",),
 }
 
@@ -46,6 +48,7 @@ __all__ = [
     "Phase",
     "Policy",
     "PortablePolicy",
+    "Recorder",
     "Simulator",
     "Step",
     "Trajectory",

@@ -23,6 +23,7 @@ WORDS = {
     "datamodules.problem",
     "datamodules.settings",
     "datamodules.specs",
+    "datamodules.limits",
     "datamodules.streams",
     "datamodules.batches.normalization",
 }
@@ -35,7 +36,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "datamodules.settings": {"datamodules.errors"},
     "datamodules.specs": set(),
     "datamodules.streams": set(),
-    "datamodules.types": {"datamodules.errors"},
+    "datamodules.limits": {"datamodules.errors"},
+    "datamodules.types": {"datamodules.errors", "datamodules.limits"},
     "datamodules.store": WORDS,
     "datamodules.batches": WORDS | {"datamodules.store"},
     "datamodules.formats": WORDS | {"datamodules.store"},

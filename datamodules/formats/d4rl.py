@@ -1,119 +1,175 @@
-"""D4RL's ``maze2d`` files: one long walk of a point from goal to goal, cut into one piece for each goal.
+"""D4RL's HDF5 of any environment: flat arrays, cut where a step is terminal or timed out.
 
-See https://github.com/Farama-Foundation/D4RL/blob/master/scripts/generation/generate_maze2d_datasets.py. The point is
-never reset: a piece begins where the last one ended, with the velocity that is left. ``timeouts`` marks the step that
-reached a goal (https://github.com/Farama-Foundation/D4RL/issues/85); files that the script writes itself lack it
-(https://github.com/Farama-Foundation/D4RL/issues/176), so a new ``infos/goal`` begins a piece as well. ``rewards`` and
-``terminals`` belong to the fixed goal of D4RL's evaluation and are not read.
+See https://github.com/Farama-Foundation/D4RL/wiki/Tasks and ``offline_env.py`` there. The walks of ``maze2d`` files,
+which have no episodes, are :mod:`datamodules.formats.maze2d`.
 """
 
 from __future__ import annotations
 
-import math
+import itertools
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple, NoReturn
 
 import h5py
 import numpy as np
 
-from datamodules.errors import TrajectoryFileError
-from datamodules.store.guard import UNSUSPICIOUS_BYTES, open_guarded, readable
+from datamodules.formats.exporting import new_file
+from datamodules.formats.hdf5 import NUMBERS, find_array, find_numbers, foreign_file, number_attributes, texts
+from datamodules.formats.source import (
+    NO_SUCCESS,
+    Format,
+    Source,
+    SourceDescription,
+    SourceEpisode,
+    SourceKey,
+    refuse_source,
+)
+from datamodules.store.reader import TrajectoryFile
 
-MAX_STEPS = 10_000_000  # More than twice the largest file that D4RL published; as many take 320 MB of memory
-
-
-class Walk(NamedTuple):
-    """The whole of a file, N steps; nothing in it is NaN or infinite."""
-
-    states: np.ndarray  # ``(N, 4)`` float32: x, y in m, velocities in m/s, as seen before each action
-    actions: np.ndarray  # ``(N, 2)`` float32: forces along x and y, the limit of the motors is 1
-    goals: np.ndarray  # ``(N, 2)`` float32: where the walker is heading, in m
-    timeouts: np.ndarray  # ``(N,)`` bool: the step is the last on the way to its goal
-    places: np.ndarray  # ``(N, 4)`` float32: where the point was before each action, whatever was seen; else ``states``
-
-
-class Segment(NamedTuple):
-    """The way to one goal, T steps."""
-
-    row: int  # Its first step in the walk
-    states: np.ndarray  # ``(T + 1, 4)``, see :class:`Walk`; ``(T, 4)`` if nobody knows where the last action led
-    actions: np.ndarray  # ``(T, 2)``
-    goal: np.ndarray  # ``(2,)``
+MAX_STEPS = 10_000_000  # More than twice the largest file that D4RL published
+ENDS = ("terminals", "timeouts")
+SUCCESS, TASK, TASKS = "infos/success", "infos/task", "metadata/tasks"
+LIMITS = "metadata/actions"
 
 
-def read_walk(path: Path) -> Walk:
-    """Read a ``maze2d`` file of N steps: states ``(N, 4)``, actions ``(N, 2)``, goals ``(N, 2)``, nothing else.
+class D4RL(Format):
+    """D4RL's files.
 
-    Raises:
-        TrajectoryFileError: If the file is missing, damaged or can do harm, lacks an array, has one of another shape,
-            type or length, holds a value that is not finite, or more than ``MAX_STEPS`` steps.
+    Args:
+        terminal_success: Demonstrations that end with a terminal step succeed, all others fail.
     """
-    with open_guarded(path) as file, readable(path):
-        array = _array(file, "actions", path)
-        steps = len(array) if array.ndim else 0
-        if not 0 < steps <= MAX_STEPS:
-            _refuse(path, f"{steps} steps in actions", f"1 to {MAX_STEPS}")
-        floats = {"observations": 4, "actions": 2, "infos/goal": 2}
-        states, actions, goals = (_floats(file, name, (steps, size), path) for name, size in floats.items())
-        moved = [_floats(file, name, (steps, 2), path) for name in ("infos/qpos", "infos/qvel") if name in file]
-        places = np.concatenate(moved, axis=1) if len(moved) == 2 else states
-        return Walk(states, actions, goals, _flags(file, "timeouts", (steps,), path), places)
+
+    title = "D4RL HDF5"
+
+    def __init__(self, terminal_success: bool = False) -> None:
+        self.terminal_success = terminal_success
+
+    @contextmanager
+    def open(self, path: Path) -> Iterator[Source]:
+        with foreign_file(path) as file:
+            yield _D4RLSource(file, path, self.terminal_success)
+
+    def write(self, file: TrajectoryFile, domain: str, out: Path) -> Sequence[str]:
+        spec = file.spec(domain)
+        with new_file(out) as temporary, h5py.File(temporary, "w", libver=("earliest", "v110")) as new:
+            for name, values in _flat_arrays(file, domain).items():
+                new[name] = values
+            for number, task in enumerate(file.tasks):
+                new[f"{TASKS}/{number}"] = task
+            if spec.action_low is not None:
+                new.create_group(LIMITS).attrs.update({"low": spec.action_low, "high": spec.action_high})
+        images = ["images"] if spec.image_key else []
+        return ["names of keys: D4RL has one array of observations", "seeds", "the rate", *images]
 
 
-def split_walk(walk: Walk) -> list[Segment]:
-    """Cut a walk ``(N, …)`` after each step that ends the way to a goal, by ``timeouts`` or as the goal changes.
-
-    When a goal is reached the generating script records the same observation once more, with an action for the new
-    goal; a piece therefore begins after a first step that repeats the one before it. Where the last action of the
-    piece before led is then told by ``places`` alone: the observation after the repeated one is two actions later.
-    Pieces may be empty.
-    """
-    another = (walk.goals[1:] != walk.goals[:-1]).any(axis=1)
-    ends = np.flatnonzero(np.append(another, True) | walk.timeouts) + 1
-    starts = np.append(0, ends[:-1])
-    starts[1:] += (walk.states[starts[1:]] == walk.states[starts[1:] - 1]).all(axis=1)
-    return [
-        Segment(int(a), np.concatenate([walk.states[a:b], _led_to(walk, b)]), walk.actions[a:b], walk.goals[b - 1])
-        for a, b in zip(starts, ends, strict=True)
-    ]
-
-
-def _led_to(walk: Walk, row: int) -> np.ndarray:
-    """State that the action before ``row`` led to ``(1, 4)``; ``(0, 4)`` at the walk's end or where nothing changed."""
-    place = walk.places[row : row + 1]
-    led_to: np.ndarray = place[(place != walk.states[row - 1]).any(axis=1)]
-    return led_to
+def _flat_arrays(file: TrajectoryFile, domain: str) -> dict[str, np.ndarray]:
+    """Arrays ``(N, …)`` of all steps of a domain."""
+    spec, table, arrays = file.spec(domain), file.episodes(domain), file.read(domain, images=False)
+    steps, lengths, ends = len(arrays.actions), np.diff(arrays.offset), arrays.offset[1:] - 1
+    timeouts, success = np.zeros(steps, np.bool_), np.repeat(table.success, lengths)
+    timeouts[ends] = True
+    numbers = np.array([file.tasks.index(task) for task in arrays.task], np.int64)
+    flat = {
+        "observations": arrays.state[:steps],
+        "actions": spec.owner_actions(arrays.actions),
+        "rewards": (timeouts & success).astype(np.float32),
+        "terminals": np.zeros(steps, np.bool_),
+        "timeouts": timeouts,
+        SUCCESS: success,
+        TASK: np.repeat(numbers, lengths),
+    }
+    if (arrays.last >= 0).all():
+        following = np.arange(1, steps + 1)
+        following[ends] = arrays.last
+        flat["next_observations"] = arrays.state[following]
+    return flat
 
 
-def _floats(file: h5py.File, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    values: np.ndarray = _array(file, name, path, shape, "f", "floating-point numbers").astype(np.float32)[()]
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if len(bad):
-        _refuse(path, f"a value that is not finite in {name}, step {bad[0]}", "finite values")
-    return values
+class _D4RLSource(Source):
+    def __init__(self, file: h5py.File, path: Path, terminal_success: bool) -> None:
+        self.file, self.path, self.terminal_success = file, path, terminal_success
+        actions = find_array(file, "actions", path)
+        if actions.ndim != 2 or not 0 < len(actions) <= MAX_STEPS:
+            refuse_source(path, f"actions of shape {actions.shape}", f"(N, A), N from 1 to {MAX_STEPS}")
+        self.steps, self.width = actions.shape
+        self.keys = {key.name: key for key in self._keys()}
+        ends = self._flag("terminals") | self._flag("timeouts")
+        ends[-1] = True
+        self.offset = np.append(0, np.flatnonzero(ends) + 1)
+        self.description = self._describe()
 
+    def _keys(self) -> Iterator[SourceKey]:
+        for name in ("observations", *sorted(f"infos/{name}" for name in self.file.get("infos", ()))):
+            array = find_array(self.file, name, self.path)
+            if array.shape[:1] == (self.steps,):
+                aside = array.dtype.kind not in NUMBERS or len(array.shape) == 1
+                yield SourceKey(name.replace("/", "."), tuple(array.shape[1:]), aside=aside)
+        if "observations" not in self.file or self.file["observations"].shape[:1] != (self.steps,):
+            refuse_source(self.path, "observations of another length than actions", f"{self.steps} rows")
 
-def _flags(file: h5py.File, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    if name not in file:
-        return np.zeros(shape, dtype=bool)
-    values: np.ndarray = _array(file, name, path, shape, "biu", "true or false")[()].astype(bool)
-    return values
+    def _flag(self, name: str) -> np.ndarray:
+        if name not in self.file:
+            return np.zeros(self.steps, np.bool_)
+        flags: np.ndarray = find_numbers(self.file, name, self.path, (self.steps,)).astype(np.bool_)
+        return flags
 
+    def _describe(self) -> SourceDescription:
+        taken = {"observations", "next_observations", "actions", "infos", *ENDS}
+        limits = self.file.get(LIMITS)
+        low, high = (limits and number_attributes(limits, name, self.width) for name in ("low", "high"))
+        return SourceDescription(
+            place=self.path,
+            files=[self.path],
+            keys=[*self.keys.values()],
+            action_size=self.width,
+            episodes=len(self.offset) - 1,
+            action_low=low if high else None,
+            action_high=high if low else None,
+            dropped={name: "no array of steps that a policy sees" for name in self.file if name not in taken},
+            warnings=[*self._warnings()],
+        )
 
-def _array(
-    file: h5py.File, name: str, path: Path, shape: tuple[int, ...] | None = None, kinds: str = "", told: str = ""
-) -> h5py.Dataset:
-    array = file.get(name)
-    if not isinstance(array, h5py.Dataset):
-        _refuse(path, f"no array {name}", "D4RL's maze2d arrays: observations, actions, infos/goal")
-    # A growing array may have blocks larger than itself, and HDF5 unpacks whole blocks.
-    block = math.prod(array.chunks or (1,)) * array.dtype.itemsize
-    if block > UNSUSPICIOUS_BYTES:
-        _refuse(path, f"{name} in blocks of {block / 2**20:.0f} MiB", f"at most {UNSUSPICIOUS_BYTES / 2**20:.0f} MiB")
-    if shape is not None and (array.shape != shape or array.dtype.kind not in kinds):
-        _refuse(path, f"{name} of shape {array.shape}, type {array.dtype}", f"shape {shape}, {told}")
-    return array
+    def _warnings(self) -> Iterator[str]:
+        if not any(name in self.file for name in ENDS):
+            yield "neither terminals nor timeouts: the whole file is one demonstration"
+        if not self.terminal_success and SUCCESS not in self.file:
+            yield NO_SUCCESS
 
+    def episodes(self, keys: Sequence[str]) -> Iterator[SourceEpisode]:
+        actions = find_numbers(self.file, "actions", self.path, (self.steps, self.width))
+        arrays, following = {key: self._read(key) for key in keys}, self._following(keys)
+        success, tasks = self._success(), self._numbers()
+        for number, (start, stop) in enumerate(itertools.pairwise(self.offset)):
+            values = {key: array[start:stop] for key, array in arrays.items()}
+            if following is not None:
+                values["observations"] = np.concatenate([values["observations"], following[stop - 1 : stop]])
+            solved = None if success is None else bool(success[stop - 1])
+            task = None if tasks is None else self._task(int(tasks[start]))
+            yield SourceEpisode(f"episode {number}", self.path, values, actions[start:stop], task, success=solved)
 
-def _refuse(path: Path, found: str, expected: str) -> NoReturn:
-    raise TrajectoryFileError(f"{path}: found {found}; expected {expected}: name an undamaged maze2d file of D4RL")
+    def _following(self, keys: Sequence[str]) -> np.ndarray | None:
+        """What was seen after each step, if it is known of all keys, ``(N, o)``."""
+        if "next_observations" not in self.file or [*keys] != ["observations"]:
+            return None
+        return find_numbers(self.file, "next_observations", self.path, (self.steps, *self.keys["observations"].shape))
+
+    def _success(self) -> np.ndarray | None:
+        """Whether each step is one of success ``(N,)``; None if nobody says."""
+        if self.terminal_success or SUCCESS in self.file:
+            return self._flag("terminals" if self.terminal_success else SUCCESS)
+        return None
+
+    def _numbers(self) -> np.ndarray | None:
+        """Number of each step's task ``(N,)``; None if the file does not name tasks."""
+        if TASK not in self.file or TASKS not in self.file:
+            return None
+        return find_numbers(self.file, TASK, self.path, (self.steps,))
+
+    def _task(self, number: int) -> str:
+        return str(texts(find_array(self.file, f"{TASKS}/{number}", self.path))[0])
+
+    def _read(self, key: str) -> np.ndarray:
+        array = find_array(self.file, key.replace(".", "/", 1) if key.startswith("infos.") else key, self.path)
+        values: np.ndarray = array[()]
+        return values

@@ -6,9 +6,10 @@ Every reader of this project opens files through :func:`open_guarded`, which ref
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
@@ -18,6 +19,7 @@ from typing import NoReturn
 os.environ.setdefault("HDF5_PLUGIN_PRELOAD", "::")
 
 import h5py
+import numpy as np
 
 from datamodules.errors import TrajectoryFileError
 
@@ -41,6 +43,14 @@ def is_name(name: str) -> bool:
     return NAME.fullmatch(name) is not None
 
 
+def as_name(text: str) -> str:
+    """Give a text as a name of files and folders: itself if it is one, else its words and digits of its hash."""
+    if is_name(text) and text.strip("."):
+        return text
+    words = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:48]
+    return f"{words}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
     """Turn whatever HDF5 raises on a damaged file into a :class:`TrajectoryFileError` that names the file."""
@@ -53,8 +63,18 @@ def readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-def open_guarded(path: Path) -> h5py.File:
+def is_foreign_name(name: str) -> bool:
+    """Allow any printable name of up to 255 characters, but not ``.`` and ``..``, in files of other projects."""
+    return 0 < len(name) <= 255 and name.isprintable() and "/" not in name and name not in (".", "..")
+
+
+def open_guarded(path: Path, foreign: bool = False) -> h5py.File:
     """Open a finished HDF5 file read-only after checking every object in it; the caller closes it.
+
+    Args:
+        path: The file.
+        foreign: Whether another project made it: names may be any printable text, and it may hold rows of bytes of
+            different lengths, such as compressed images.
 
     Raises:
         TrajectoryFileError: If the file is missing, empty, damaged or uses a feature that can harm its reader.
@@ -67,14 +87,14 @@ def open_guarded(path: Path) -> h5py.File:
         # Finished files need no lock, and NFS or Lustre may refuse one: https://github.com/h5py/h5py/issues/1101
         file = h5py.File(path, "r", locking=False)
         try:
-            check_objects(file, path)
+            check_objects(file, path, foreign)
         except BaseException:
             file.close()
             raise
     return file
 
 
-def check_objects(file: h5py.File, path: Path) -> list[str]:
+def check_objects(file: h5py.File, path: Path, foreign: bool = False) -> list[str]:
     """Walk all groups and arrays, one name at a time, without reading any array; the first that is not plain raises.
 
     Returns:
@@ -88,7 +108,7 @@ def check_objects(file: h5py.File, path: Path) -> list[str]:
         _check_attributes(group, path, place or "/")
         for name in group:
             at = f"{place}/{name}"
-            child = _member(group, name, path, at)
+            child = _member(group, name, path, at, is_foreign_name if foreign else is_name)
             if _address(child) in seen:
                 _refuse(path, at, "is reachable by two names", "every object once")
             seen.add(_address(child))
@@ -98,7 +118,7 @@ def check_objects(file: h5py.File, path: Path) -> list[str]:
                 pending.append((at, child))
             else:
                 _check_attributes(child, path, at)
-                _check_array(child, path, at)
+                _check_array(child, path, at, foreign)
                 arrays.append(at)
     return arrays
 
@@ -107,8 +127,10 @@ def _address(item: h5py.Group | h5py.Dataset) -> int:
     return int(h5py.h5o.get_info(item.id).addr)
 
 
-def _member(group: h5py.Group, name: str, path: Path, at: str) -> h5py.Group | h5py.Dataset:
-    if not is_name(name):
+def _member(
+    group: h5py.Group, name: str, path: Path, at: str, allowed: Callable[[str], bool]
+) -> h5py.Group | h5py.Dataset:
+    if not allowed(name):
         _refuse(path, ascii(at), "is no allowed name", "1 to 64 letters, digits, '_', '.', '-'")
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         _refuse(path, at, "is a soft or external link", "objects stored in the file itself")
@@ -125,10 +147,10 @@ def _check_attributes(item: h5py.Group | h5py.Dataset, path: Path, at: str) -> N
             _refuse(path, at, f"has the attribute {name!a} of a strange type or size", "numbers and strings")
 
 
-def _check_array(array: h5py.Dataset, path: Path, at: str) -> None:
+def _check_array(array: h5py.Dataset, path: Path, at: str, foreign: bool) -> None:
     if array.external or array.is_virtual:
         _refuse(path, at, "takes its values from other files", "arrays stored in the file itself")
-    if not _is_plain(array.dtype):
+    if not _is_plain(array.dtype) and not (foreign and h5py.check_vlen_dtype(array.dtype) == np.uint8):
         _refuse(path, at, f"has type {array.dtype}", "numbers, booleans or strings")
     plist = array.id.get_create_plist()
     unknown = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())} - FILTERS.keys()

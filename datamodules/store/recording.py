@@ -190,7 +190,9 @@ def _episode(trajectory: Trajectory, spec: DomainSpec) -> Episode:
     if found != wanted:
         _refuse(trajectory, f"images {found}", f"{wanted}", "check the domain's camera")
     _check_values(trajectory, spec, state, actions)
-    return Episode(trajectory.task, int(trajectory.seed), bool(trajectory.success), state, actions, lambda: image)
+    told = trajectory.task, int(trajectory.seed), bool(trajectory.success)
+    # An importer's images are read no sooner than they are asked for here.
+    return Episode(*told, state, actions, lambda: None if image is None else np.asarray(image))
 
 
 def _check_values(trajectory: Trajectory, spec: DomainSpec, state: np.ndarray, actions: np.ndarray) -> None:

@@ -18,8 +18,10 @@ from datamodules.store.guard import is_name
 from datamodules.types import DomainSpec, ObservationKey
 
 FORMAT = "plp-trajectories"
-FORMAT_VERSION = "1.1"  # Of files that are written
-READABLE = (FORMAT_VERSION, "1.0")
+FORMAT_VERSION = "1.1"  # Of files that are written, unless they hold what only the latest can
+LATEST_VERSION = "1.2"  # Has limits of actions, and tasks that are sentences
+READABLE = (LATEST_VERSION, FORMAT_VERSION, "1.0")
+MAX_TASK_BYTES = 500
 HEADER = "header"
 EPISODE_COLUMNS: dict[str, type[np.generic]] = {
     "offset": np.int64,
@@ -45,6 +47,12 @@ class Header:
         specs = [{**spec.to_dict(), "control_hz": float(spec.control_hz)} for spec in self.domains]
         text = json.dumps([self.tasks, specs, self.provenance], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def version_of(header: Header) -> str:
+    """Earliest version of the format that can hold a file, so that it stays readable for as many as can be."""
+    limited = any(spec.action_low is not None for spec in header.domains)
+    return LATEST_VERSION if limited or not all(map(is_name, header.tasks)) else FORMAT_VERSION
 
 
 def episode_columns(version: str) -> dict[str, type[np.generic]]:
@@ -95,10 +103,20 @@ def check_spec(spec: DomainSpec, place: str) -> None:
 
 
 def check_tasks(tasks: Sequence[str], place: str) -> None:
-    """Refuse, by a :class:`TrajectoryFileError`, tasks of which one is not a name, or stands twice."""
-    _check_each(tasks, place, "task name")
+    """Refuse, by a :class:`TrajectoryFileError`, tasks of which one is no name and no sentence, or stands twice."""
+    for task in tasks:
+        if not is_task(task):
+            _fail(
+                place, f"task name {task!r}", f"1 to {MAX_TASK_BYTES} bytes of printable text without blanks around it"
+            )
     if len(set(tasks)) < len(tasks):
         _fail(place, f"tasks {', '.join(tasks)}", "every name once")
+
+
+def is_task(name: str) -> bool:
+    """Allow names and sentences: printable text of one line, without blanks around it, but not ``.`` and ``..``."""
+    sized = 0 < len(name.encode(errors="replace")) <= MAX_TASK_BYTES
+    return sized and name.isprintable() and name == name.strip() and name not in (".", "..")
 
 
 def _check_each(names: Sequence[str], place: str, kind: str) -> None:
@@ -109,14 +127,17 @@ def _check_each(names: Sequence[str], place: str, kind: str) -> None:
 
 def write_header(file: h5py.File, header: Header) -> None:
     """Write everything but the arrays of the domains, the hashes and ``complete``."""
-    file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+    file.attrs.update({"format": FORMAT, "format_version": version_of(header)})
     file.attrs["provenance"] = json.dumps(header.provenance, sort_keys=True)
     file.attrs["domains"] = json.dumps([spec.name for spec in header.domains])
-    file["tasks/name"] = np.array(header.tasks, "S64")
+    names = [task.encode() for task in header.tasks]
+    file["tasks/name"] = np.array(names, f"S{max([64, *map(len, names)])}")
     for spec in header.domains:
         group = file.create_group(f"domains/{spec.name}")
         group.attrs["observation"] = json.dumps([key.name for key in spec.observation])
         group.attrs.update({"action_size": spec.action_size, "control_hz": float(spec.control_hz), "env": spec.env})
+        if spec.action_low is not None and spec.action_high is not None:
+            group.attrs.update({"action_low": spec.action_low, "action_high": spec.action_high})
 
 
 def check_identity(file: h5py.File, path: Path) -> None:
@@ -161,7 +182,8 @@ def _read_spec(file: h5py.File, name: str, path: Path) -> DomainSpec:
     keys = tuple(_read_key(file, f"/domains/{name}/obs", key, path) for key in json.loads(attrs["observation"]))
     if not any(key.kind == "state" for key in keys):
         _fail(place, "no state key", "at least one")
-    spec = DomainSpec(name, keys, int(attrs["action_size"]), float(attrs["control_hz"]), str(attrs["env"]))
+    limits = [tuple(map(float, attrs[limit])) if limit in attrs else None for limit in ("action_low", "action_high")]
+    spec = DomainSpec(name, keys, int(attrs["action_size"]), float(attrs["control_hz"]), str(attrs["env"]), *limits)
     check_spec(spec, place)
     return spec
 

@@ -36,8 +36,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
             raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
     _settle_places(config)
     kept, made = keep(parser, config, dropped), _made(parser, config)
-    names = {"experiment": made.experiment, "method": made.method, "data.target_task": made.data.target_task}
-    check_names(names)
+    check_names({"experiment": made.experiment, "method": made.method})
     return Experiment(
         name=made.experiment,
         method=Method(made.method, made.policy, {name: made[name] for name in made.phases}),

@@ -1,100 +1,91 @@
-"""``plp data import``: demonstrations of other projects → a trajectory file of ours."""
+"""``plp data import`` and ``plp data export``: demonstrations of other projects ↔ trajectory files of ours."""
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from datamodules.errors import TrajectoryFileError
-from datamodules.formats import describe_source
-from datamodules.formats.d4rl import Segment, Walk, read_walk, split_walk
-from datamodules.store.writer import add_trajectories
-from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.maze.simulator import PointMaze
+from datamodules.formats.importing import Imported, import_demonstrations
+from datamodules.formats.mapping import ImportOptions
+from datamodules.formats.registry import find_format, format_names
+from datamodules.store.reader import TrajectoryFile
+from plp_lightning.cli.options import OptionParser, add_options, chosen
 from plp_lightning.runs.versions import versions
 
-SHORTEST = 10  # Steps below which a way shows nothing: a tenth of a second
-NEAR = 0.5  # Distance from the middle of the goal cell at which our mazes count a goal as reached, in cells
+WRITTEN = ("self", "file", "domain", "out")  # What every format is asked to write; its other arguments are options
 
 
-def import_d4rl(source: Path, maze: PointMaze, domain: str, out: Path) -> None:
-    """Add the demonstrations of a D4RL ``maze2d`` file to a trajectory file of ours, which may be new.
-
-    Raises:
-        TrajectoryFileError: If the file cannot be read, was made in another maze or has no use, or ``out`` holds
-            another domain of that name or cannot be written.
-    """
-    walk = read_walk(source)
-    pieces = split_walk(walk)
-    ways = [piece for piece in pieces if len(piece.actions) >= SHORTEST]
-    flaws = _flaws(ways, walk, maze, source)
-    fit = [way for way, flaw in zip(ways, flaws, strict=True) if not flaw]
-    short = [f"shorter than {SHORTEST} steps"] * (len(pieces) - len(ways))
-    dropped = Counter([*filter(None, flaws), *short])
-    if not fit:
-        raise TrajectoryFileError(f"{source}: none of {len(pieces)} ways can be used ({_listed(dropped)})")
-    record = {
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "source": {**describe_source(source), "format": "D4RL maze2d"},
-        "imported": len(fit),
-        "dropped": dict(dropped),
-        "versions": versions(),
-    }
-    tasks = _tasks(fit, maze)
-    trajectories = [demonstration(way, task, maze, domain) for way, task in zip(fit, tasks, strict=True)]
-    add_trajectories(out, [maze.spec(domain)], maze.tasks.names, trajectories, record)
-    print(f"{out}: {len(fit)} demonstrations of {len({*tasks})} tasks imported; {_listed(dropped) or 'none dropped'}")
+def run_import(arguments: Sequence[str]) -> None:
+    """``plp data import FORMAT SOURCE… --domain NAME --out FILE``."""
+    name, words = _named("import", arguments)
+    form = find_format(name)
+    parser = OptionParser(f"plp data import {name}", description=f"Add demonstrations from {form.title} to our file.")
+    parser.add_argument("sources", type=Path, nargs="+", help="files or folders, all of one domain")
+    parser.add_argument("--out", type=Path, required=True, help="our file; one that exists grows")
+    add_options(parser, form)
+    add_options(parser, ImportOptions)
+    if name == "d4rl":
+        _add_maze(parser)
+    options = parser.parse_args(words)
+    if name == "d4rl" and options.layout is not None:
+        _import_maze(options)
+        return
+    record = {"command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]), "versions": versions()}
+    chosen_form, settings = form(**chosen(options, form)), ImportOptions(**chosen(options, ImportOptions))
+    _tell(import_demonstrations(chosen_form, options.sources, settings, options.out, record), options.out)
 
 
-def _flaws(ways: Sequence[Segment], walk: Walk, maze: PointMaze, source: Path) -> list[str]:
-    """In a few words, why each way to a goal is no demonstration; empty if it is one."""
-    # D4RL draws goals around whole numbers, which name the cell, though cells lie 0.2 lower in its frame.
-    places = maze.frame.cells(walk.states[:, :2])
-    cells, goals = maze.layout.nearest(places), maze.layout.nearest(walk.goals)
-    _check_layout(np.stack([cells, goals], axis=1), maze, source)
-    first = np.array([way.row for way in ways], dtype=int)
-    last = first + np.array([len(way.actions) - 1 for way in ways], dtype=int)
-    near = np.linalg.norm(places - goals, axis=1) <= NEAR
-    begins = near[first] | (cells[first] == goals[first]).all(axis=1)
-    flaws: list[str] = np.select([begins, ~near[last]], ["begins at its goal", "ends before its goal"], "").tolist()
-    return flaws
+def run_export(arguments: Sequence[str]) -> None:
+    """``plp data export FORMAT FILE --domain NAME --out PLACE``."""
+    name, words = _named("export", arguments)
+    form = find_format(name)
+    parser = OptionParser(f"plp data export {name}", description=f"Write a domain's demonstrations as {form.title}.")
+    parser.add_argument("file", type=Path, help="our file")
+    parser.add_argument("--domain", required=True, help="the domain to write")
+    parser.add_argument("--out", type=Path, required=True, help="a new file or folder")
+    add_options(parser, form.write, WRITTEN)
+    options = parser.parse_args(words)
+    with TrajectoryFile.open(options.file) as file:
+        count = len(file.episodes(options.domain).task)
+        left = form().write(file, options.domain, options.out, **chosen(options, form.write, WRITTEN))
+    print(f"{options.out}: {count} demonstrations of domain {options.domain!r} exported as {form.title}")
+    for one in left:
+        print(f"  has no place there: {one}")
 
 
-def _tasks(ways: Sequence[Segment], maze: PointMaze) -> list[str]:
-    """Names of the tasks: the zone of the cell where a way begins, and the cell of its goal."""
-    zone_of = {cell: zone for zone, cells in enumerate(maze.layout.zones) for cell in cells}
-    starts = maze.layout.nearest(maze.frame.cells(np.array([way.states[0, :2] for way in ways])))
-    goals = maze.layout.nearest(np.array([way.goal for way in ways]))
-    pairs = zip(starts.tolist(), goals.tolist(), strict=True)
-    return [f"s{zone_of[start[0], start[1]]}_g_{goal[0]}_{goal[1]}" for start, goal in pairs]
+def _named(verb: str, arguments: Sequence[str]) -> tuple[str, Sequence[str]]:
+    parser = OptionParser(f"plp data {verb}", epilog=f"Options of a format: plp data {verb} FORMAT --help")
+    parser.add_argument("format", help=", ".join(format_names()))
+    first = [word for word in arguments[:1] if word in ("-h", "--help") or not word.startswith("-")]
+    return str(parser.parse_args(first).format), arguments[1:]
 
 
-def demonstration(way: Segment, task: str, maze: PointMaze, domain: str) -> Trajectory:
-    """A flawless way to a goal, ``(T, 2)`` actions, as the domain sees it; D4RL's motors clip too strong actions too.
-
-    A walk that was never reset has no seeds; the number of the first step stands in for one.
-    """
-    state, actions = maze.states_of_domain(way.states), maze.actions_of_domain(np.clip(way.actions, -1, 1))
-    return Trajectory(domain, task, Observation(state), actions, way.row, success=True)
+def _add_maze(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--layout", choices=["umaze", "medium"], help="a maze2d file's maze: its walk is cut by goals")
+    parser.add_argument("--swap_axes", action="store_true", help="with --layout: the domain sees y before x")
+    parser.add_argument("--negate_actions", action="store_true", help="with --layout: actions have the opposite sign")
 
 
-def _check_layout(cells: np.ndarray, maze: PointMaze, source: Path) -> None:
-    """Cells ``(N, 2, 2)``: where the walker and its goal are in each step."""
-    free = np.zeros(maze.layout.shape, dtype=bool)
-    free[tuple(np.transpose(maze.layout.cells))] = True
-    strange = np.argwhere(~free[cells[..., 0], cells[..., 1]])
-    if len(strange):
-        step, goal = strange[0].tolist()
-        found = f"{'the goal' if goal else 'the walk'} of step {step} in cell {tuple(cells[step, goal].tolist())}"
-        raise TrajectoryFileError(
-            f"{source}: found {found}, a wall of this maze; expected places between its walls: choose another --layout"
-        )
+def _import_maze(options: argparse.Namespace) -> None:
+    from plp_lightning.cli.maze2d import import_d4rl
+    from plp_lightning.envs.maze.simulator import PointMaze
+
+    maze = PointMaze(options.layout, options.swap_axes, options.negate_actions)
+    for source in options.sources:
+        import_d4rl(source, maze, options.domain, options.out)
 
 
-def _listed(dropped: Counter[str]) -> str:
-    return ", ".join(f"{count} dropped: {reason}" for reason, count in sorted(dropped.items()))
+def _tell(done: Imported, out: Path) -> None:
+    spec, tasks = done.spec, len(done.tasks)
+    print(f"{out}: {done.demonstrations} demonstrations of {tasks} tasks imported, {done.steps} steps")
+    keys = ", ".join(f"{key.name} {' × '.join(map(str, key.shape))}" for key in spec.observation)
+    print(f"  domain {spec.name!r}: {keys}; {spec.action_size} actions at {spec.control_hz:g} Hz")
+    low, high = (", ".join(f"{value:g}" for value in limit) for limit in spec.action_limits)
+    print(f"  actions from ({low}) to ({high}); limits: {done.limits}")
+    for name, reason in done.dropped.items():
+        print(f"  left out: {name} ({reason})")
+    for warning in done.warnings:
+        print(f"  beware: {warning}")

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import NoReturn
+import inspect
+import re
+from collections.abc import Callable, Collection
+from dataclasses import is_dataclass
+from types import UnionType
+from typing import Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
 from datamodules.errors import ConfigError
 
@@ -29,3 +34,58 @@ def _number(text: str, least: int, most: int, told: str) -> int:
     if not text.isdecimal() or len(text) > len(str(most)) or not least <= int(text) <= most:
         raise argparse.ArgumentTypeError(f"found {text!r}; expected a whole number {'of ' * (least == 1)}{told}")
     return int(text)
+
+
+def add_options(parser: argparse.ArgumentParser, kind: Callable[..., Any], beside: Collection[str] = ()) -> None:
+    """Give a parser an option for each argument of a constructor or function; type, default and help stand there.
+
+    Args:
+        parser: The parser.
+        kind: The constructor or function.
+        beside: Arguments that are no options.
+    """
+    hints, told = get_type_hints(_signed(kind)), _told(kind)
+    for name in _parameters(kind, beside):
+        parameter = inspect.signature(kind).parameters[name]
+        required, default = parameter.default is parameter.empty, parameter.default
+        shown = "" if required or default in (None, (), False) else f" (default: {default})"
+        settings: dict[str, Any] = {"help": told.get(name, "") + shown, "dest": name}
+        settings |= {"required": True} if required else {"default": default}
+        try:
+            parser.add_argument(f"--{name}", **settings, **_reader(hints[name]))
+        except argparse.ArgumentError:
+            raise ConfigError(f"{parser.prog}: the option --{name} is there twice; rename the format's own") from None
+
+
+def chosen(options: argparse.Namespace, kind: Callable[..., Any], beside: Collection[str] = ()) -> dict[str, Any]:
+    """Values of what :func:`add_options` made options for."""
+    values = {name: getattr(options, name) for name in _parameters(kind, beside)}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+
+def _parameters(kind: Callable[..., Any], beside: Collection[str]) -> list[str]:
+    named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return [p.name for p in inspect.signature(kind).parameters.values() if p.kind in named and p.name not in beside]
+
+
+def _signed(kind: Callable[..., Any]) -> Any:
+    """What holds the annotations of a constructor's arguments, or of a function's."""
+    return kind.__init__ if isinstance(kind, type) and not is_dataclass(kind) else kind  # type: ignore[misc]
+
+
+def _reader(hint: Any) -> dict[str, Any]:
+    """How argparse reads a value of a type."""
+    if get_origin(hint) in (Union, UnionType):
+        hint = next(part for part in get_args(hint) if part is not type(None))
+    if hint is bool:
+        return {"action": "store_true"}
+    if get_origin(hint) is tuple:
+        return {"type": get_args(hint)[0], "nargs": "+"}
+    return {"choices": get_args(hint)} if get_origin(hint) is Literal else {"type": hint}
+
+
+def _told(kind: Callable[..., Any]) -> dict[str, str]:
+    """Descriptions of arguments, out of a docstring."""
+    lines = re.split(r"^\s*Args:\s*$", inspect.getdoc(kind) or "", flags=re.MULTILINE)[-1]
+    found = re.findall(r"^ {4}(\w+): (.+(?:\n {5,}.+)*)", lines, flags=re.MULTILINE)
+    return {name: " ".join(text.split()).replace("%", "%%") for name, text in found}

@@ -53,7 +53,7 @@ class Policy(Configured, nn.Module, ABC):
         """
 
     def act(self, observation: Observation[np.ndarray], domain: str, task: str | Sequence[str]) -> np.ndarray:
-        """Actions ``(B, A)`` in [-1, 1] for B observations of a domain.
+        """Actions ``(B, A)`` in the owner's units for B observations of a domain; in [-1, 1] if it states no limits.
 
         Args:
             observation: Raw: state ``(B, O)``, image ``(B, H, W, C)`` uint8 or None.
@@ -64,10 +64,14 @@ class Policy(Configured, nn.Module, ABC):
             ConfigError: If the policy knows no such domain or task, or the domain shows states of another size.
         """
         names = [task] * len(observation.state) if isinstance(task, str) else task
-        return self._act(observation, domain, self._task_ids(names))
+        actions, spec = self._act(observation, domain, self._task_ids(names)), self.domains[domain]
+        return actions if spec.action_low is None else spec.owner_actions(np.clip(actions, -1, 1)).astype(np.float32)
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
-        """Gives a function that acts in new episodes of ``tasks``, maybe with a memory: ``(n, O)`` → ``(n, A)``."""
+        """Gives a function that acts in new episodes of ``tasks``, maybe with a memory: ``(n, O)`` → ``(n, A)``.
+
+        Its actions are in [-1, 1], as simulators want them.
+        """
         known, ids = np.arange(len(tasks)), self._task_ids(tasks)
 
         def act(observation: Observation[np.ndarray], running: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from lightning.pytorch import Callback
 
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
+from datamodules.store.guard import as_name
 from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec
 from plp_lightning.envs.base import Domain, Simulator
@@ -55,8 +56,8 @@ class Experiment:
 
     @property
     def run_path(self) -> Path:
-        """``<run_root>/<experiment>/<method>/<target task>/seed_<n>``."""
-        return self.run_root / self.name / self.method.name / self.data.target_task / f"seed_{self.seed}"
+        """``<run_root>/<experiment>/<method>/<target task>/seed_<n>``; a sentence becomes a name there."""
+        return self.run_root / self.name / self.method.name / as_name(self.data.target_task) / f"seed_{self.seed}"
 
     @property
     def simulators(self) -> dict[str, Simulator]:

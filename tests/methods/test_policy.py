@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -275,3 +276,17 @@ def test_its_recipe_rebuilds_the_policy_after_json() -> None:
     again = settings.build(plain, PortablePolicy, ["plp_lightning"], tiny.problem([SMALL, LARGE, TWIN], TASKS))
     again.load_state_dict(policy.state_dict())
     assert settings.recipe(again, ["problem"]) == settings.recipe(policy, ["problem"])
+
+
+def test_actions_come_in_the_owners_units_but_simulators_get_theirs() -> None:
+    state = np.random.default_rng(0).normal(size=(4, 7)).astype(np.float32)
+    low, high = np.arange(5) - 5.0, np.arange(5) * 2.0 + 1
+    policy = build((SMALL, replace(LARGE, action_low=tuple(low), action_high=tuple(high))))
+    policy.load_state_dict(build((SMALL, LARGE)).state_dict())
+    scaled = build((SMALL, LARGE)).act(Observation(state), "large", "lift")
+    middle = (low + high) / 2 + np.clip(scaled, -1, 1) * (high - low) / 2
+    owner = policy.act(Observation(state), "large", "lift")
+    np.testing.assert_allclose(owner, middle, rtol=1e-6)
+    assert owner.dtype == np.float32
+    actor = policy.actor("large", ["lift"] * 4)
+    np.testing.assert_array_equal(actor(Observation(state), np.arange(4)), scaled)

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.store import recording
+from datamodules.store.schema import LATEST_VERSION
 from datamodules.store.writer import (
     FORMAT,
-    FORMAT_VERSION,
     TrajectoryFile,
     add_trajectories,
     verify_hashes,
@@ -71,7 +71,7 @@ def cut(share: float, path: Path) -> None:
         (partial(cut, 0.999), "cannot be read as HDF5"),
         (lambda path: path.write_text("a,b\n1,2\n" * 99), "cannot be read as HDF5"),
         (partial(set_attribute, "format", "minari"), f"format 'minari'; expected '{FORMAT}'"),
-        (partial(set_attribute, "format_version", "2.0"), f"format version '2.0'; expected '{FORMAT_VERSION}'"),
+        (partial(set_attribute, "format_version", "2.0"), f"format version '2.0'; expected '{LATEST_VERSION}'"),
         (partial(set_attribute, "complete", False), "never finished"),
         (forget_completion, "never finished"),
         (partial(set_attribute, "provenance", "{}"), "provenance that do not match their hash"),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.formats import describe_source
-from datamodules.formats.d4rl import Walk, read_walk, split_walk
+from datamodules.formats.maze2d import Walk, read_walk, split_walk
 
 
 def walk_of(
