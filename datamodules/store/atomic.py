@@ -30,6 +30,9 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Call it inside :func:`locked_folder`: leftovers of writers that were killed are swept first. If the block raises,
     the temporary file is removed and ``path`` stays as it was.
+
+    Raises:
+        OSError: If the file cannot be written, with the name of ``path`` if it came without one.
     """
     for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         leftover.unlink(missing_ok=True)
@@ -41,6 +44,10 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
         with _opened(path.parent) as folder:
             os.fsync(folder)
+    except OSError as error:
+        if error.filename is None:  # a full disk names no file
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

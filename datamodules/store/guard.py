@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
@@ -53,12 +53,16 @@ def readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-def open_guarded(path: Path) -> h5py.File:
+def open_guarded(path: Path, limit: Callable[[h5py.File, Path], int] | None = None) -> h5py.File:
     """Open a finished HDF5 file read-only after checking every object in it; the caller closes it.
+
+    ``limit`` reads from the attributes of the file how many objects it may hold, or raises; MAX_OBJECTS if not given.
 
     Raises:
         TrajectoryFileError: If the file is missing, empty, damaged or uses a feature that can harm its reader.
     """
+    if path.is_dir():
+        raise TrajectoryFileError(f"{path}: is a folder; expected a trajectory file: name the file in it")
     if not path.is_file():
         raise TrajectoryFileError(f"{path}: no such file; expected a trajectory file: check the path or collect it")
     if path.stat().st_size == 0:
@@ -67,20 +71,23 @@ def open_guarded(path: Path) -> h5py.File:
         # Finished files need no lock, and NFS or Lustre may refuse one: https://github.com/h5py/h5py/issues/1101
         file = h5py.File(path, "r", locking=False)
         try:
-            check_objects(file, path)
+            _check_attributes(file, path, "/")
+            check_objects(file, path, None if limit is None else limit(file, path))
         except BaseException:
             file.close()
             raise
     return file
 
 
-def check_objects(file: h5py.File, path: Path) -> list[str]:
+def check_objects(file: h5py.File, path: Path, limit: int | None = None) -> list[str]:
     """Walk all groups and arrays, one name at a time, without reading any array; the first that is not plain raises.
+
+    More than ``limit`` objects are refused; MAX_OBJECTS if not given.
 
     Returns:
         Paths of all arrays, such as ``/domains/ant/actions``.
     """
-    seen = {_address(file)}
+    seen, limit = {_address(file)}, MAX_OBJECTS if limit is None else limit
     arrays: list[str] = []
     pending: list[tuple[str, h5py.Group]] = [("", file)]
     while pending:
@@ -92,8 +99,8 @@ def check_objects(file: h5py.File, path: Path) -> list[str]:
             if _address(child) in seen:
                 _refuse(path, at, "is reachable by two names", "every object once")
             seen.add(_address(child))
-            if len(seen) > MAX_OBJECTS or at.count("/") > MAX_DEPTH:
-                _refuse(path, at, "is one object or level too many", f"{MAX_OBJECTS} objects, {MAX_DEPTH} levels")
+            if len(seen) > limit or at.count("/") > MAX_DEPTH:
+                _refuse(path, at, "is one object or level too many", f"{limit} objects, {MAX_DEPTH} levels")
             if isinstance(child, h5py.Group):
                 pending.append((at, child))
             else:

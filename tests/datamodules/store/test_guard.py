@@ -172,8 +172,8 @@ def test_plain_files_pass(path):
         assert {"/more", "/words", "/flag", "/domains/arm/actions"} <= set(guard.check_objects(file, path))
 
 
-def test_a_folder_is_no_file(tmp_path):
-    with pytest.raises(TrajectoryFileError, match="no such file"):
+def test_a_folder_is_called_a_folder(tmp_path):
+    with pytest.raises(TrajectoryFileError, match="is a folder; expected a trajectory file"):
         open_guarded(tmp_path)
 
 
