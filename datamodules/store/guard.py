@@ -24,6 +24,7 @@ from datamodules.errors import TrajectoryFileError
 NAME = re.compile(r"(?!\.{1,2}$)[A-Za-z0-9_.-]{1,64}")
 MAX_DEPTH = 8
 MAX_OBJECTS = 200_000
+MAX_ATTRIBUTES = 1000  # Of one object
 MAX_ATTRIBUTE_BYTES = 16 * 2**20
 UNSUSPICIOUS_BYTES = 256 * 2**20
 MAX_EXPANSION = 1000
@@ -126,6 +127,8 @@ def _member(group: h5py.Group, name: str, path: Path, at: str) -> h5py.Group | h
 
 
 def _check_attributes(item: h5py.Group | h5py.Dataset, path: Path, at: str) -> None:
+    if len(item.attrs) > MAX_ATTRIBUTES:
+        _refuse(path, at, f"has {len(item.attrs)} attributes", f"at most {MAX_ATTRIBUTES}")
     for name in item.attrs:
         attribute = h5py.h5a.open(item.id, name.encode())
         if attribute.get_storage_size() > MAX_ATTRIBUTE_BYTES or not _is_plain(attribute.dtype):

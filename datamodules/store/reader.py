@@ -224,6 +224,14 @@ class TrajectoryFile:
             return out
 
 
+def stored_count(path: Path, domain: str, task: str) -> int:
+    """Number of demonstrations of a task in a domain that the file at ``path`` holds, if there is one."""
+    if not path.exists():
+        return 0
+    with TrajectoryFile.open(path) as file:
+        return file.counts().get(domain, {}).get(task, 0)
+
+
 def verify_hashes(path: Path | str) -> None:
     """Read the whole trajectory file and compare every array with its hash.
 

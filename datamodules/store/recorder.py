@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from datamodules.errors import TrajectoryFileError
-from datamodules.store.atomic import locked_folder
+from datamodules.store.atomic import final_path, locked_folder
 from datamodules.store.reader import TrajectoryFile, verify_hashes
 from datamodules.store.recording import episodes_by_domain, plain_json, stored_episodes, write_file
 from datamodules.store.schema import Header
@@ -48,7 +48,7 @@ class Recorder:
     def __init__(
         self, path: Path | str, domains: Sequence[DomainSpec], tasks: Sequence[str], provenance: Mapping[str, Any]
     ) -> None:
-        self.path = Path(path).resolve()
+        self.path = final_path(path)
         self.header = Header(tuple(tasks), tuple(domains), plain_json(provenance))
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.exists():
@@ -86,7 +86,8 @@ class Recorder:
 
 def parts_folder(path: Path) -> Path:
     """Folder of the parts that wait to be joined with the file at ``path``."""
-    return path.resolve().with_name(f"{path.resolve().name}.parts")
+    path = final_path(path)
+    return path.with_name(f"{path.name}.parts")
 
 
 def part_files(path: Path) -> list[Path]:
@@ -100,7 +101,7 @@ def join_parts(path: Path | str) -> None:
     Raises:
         TrajectoryFileError: If a part is damaged or does not fit the file, which stays as it was.
     """
-    path = Path(path).resolve()
+    path = final_path(path)
     if not part_files(path):
         return
     with locked_folder(path.parent):

@@ -19,7 +19,7 @@ from datamodules.store.atomic import replacing
 from datamodules.store.patient import PatientFile
 from datamodules.store.reader import TrajectoryFile, verify_hashes
 from datamodules.store.schema import HEADER, Header, check_spec, check_tasks, digest, write_header
-from datamodules.types import DomainSpec, ObservationKey, Trajectory
+from datamodules.types import DomainSpec, Trajectory
 
 IMAGE_CHUNK = 8
 """Frames in a compressed block: few, to read single frames; enough to profit from a scene that stands still."""

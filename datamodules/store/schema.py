@@ -124,7 +124,12 @@ def check_identity(file: h5py.File, path: Path) -> None:
     """Refuse, by a :class:`TrajectoryFileError`, a file that is not a finished one of this format and version."""
     found, version, complete = (file.attrs.get(name) for name in ("format", "format_version", "complete"))
     if not isinstance(found, str) or found != FORMAT:
-        _fail(path, f"format {found!r}", f"{FORMAT!r}", "see 'plp data import --help' for the formats that can be converted")
+        _fail(
+            path,
+            f"format {found!r}",
+            f"{FORMAT!r}",
+            "see 'plp data import --help' for the formats that can be converted",
+        )
     if version not in READABLE:
         known = " or ".join(map(repr, READABLE))
         _fail(path, f"format version {version!r}", known, "update plp or convert the file")

@@ -16,7 +16,7 @@ import numpy as np
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.specs import difference
-from datamodules.store.atomic import locked_folder
+from datamodules.store.atomic import final_path, locked_folder
 from datamodules.store.guard import check_objects, open_guarded
 from datamodules.store.reader import DomainArrays, EpisodeTable, TrajectoryFile, verify_hashes
 from datamodules.store.recording import Episode, episodes_by_domain, plain_json, stored_episodes, write_file
@@ -75,7 +75,7 @@ def add_trajectories(
         TrajectoryFileError: If a domain differs from the file's, the file holds arrays that growing would
             drop, it cannot be read or written, or a demonstration does not fit its domain. The old file stays.
     """
-    path, episodes = Path(path).resolve(), episodes_by_domain(trajectories, domains, tasks)
+    path, episodes = final_path(path), episodes_by_domain(trajectories, domains, tasks)
     path.parent.mkdir(parents=True, exist_ok=True)
     header = Header(tuple(tasks), tuple(domains), plain_json(provenance))
     with locked_folder(path.parent):
@@ -149,8 +149,8 @@ def _same(one: Episode, other: Episode) -> bool:
     vectors = (one.actions, other.actions), (one.state[:rows], other.state[:rows])
     if one.success != other.success or not all(np.array_equal(*pair) for pair in vectors):
         return False
-    images = (episode.image() for episode in (one, other))
-    return np.array_equal(*(np.array(()) if image is None else image[:rows] for image in images))
+    ours, theirs = (np.array(()) if image is None else image[:rows] for image in (one.image(), other.image()))
+    return np.array_equal(ours, theirs)
 
 
 def _check_specs(path: Path, olds: Sequence[DomainSpec], news: Sequence[DomainSpec]) -> None:

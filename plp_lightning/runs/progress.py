@@ -43,6 +43,10 @@ class JobProgress:
         if not self.console.is_terminal and time.monotonic() - self.last_line > SECONDS_BETWEEN_LINES:
             self._line(note)
 
+    def tell(self, message: str) -> None:
+        """Print a line about the job, above the bar where there is one."""
+        self.console.print(f"{self.label}: {message}", markup=False, highlight=False, soft_wrap=True)
+
     def _line(self, note: str) -> None:
         self.last_line = time.monotonic()
         seconds = self.last_line - self.began
