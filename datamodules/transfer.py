@@ -262,6 +262,7 @@ def _lack(path: Path, missing: Mapping[str, Mapping[str, int]]) -> str:
     task, count = next(iter(tasks.items()))
     total = sum(sum(t.values()) for t in missing.values())
     found = f"{total} demonstrations are missing (first: {count} of task {task!r} in domain {domain!r})"
-    held = f"of which it holds {(there := stored_count(path, domain, task))} of {there + count}"
+    there = stored_count(path, domain, task)
+    held = f"of which it holds {there} of {there + count}"
     remedy = "import them or name another file with --data.file"
     return f"{path}: {found}, {held}, and the experiment has no simulator and expert to collect them; {remedy}"

@@ -53,7 +53,7 @@ def replacing(path: Path) -> Iterator[Path]:
     the temporary file is removed and ``path`` stays as it was.
 
     Raises:
-        OSError: If the file cannot be written, with the name of ``path`` if it came without one.
+        OSError: If the file cannot be written, which names ``path``.
     """
     for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         leftover.unlink(missing_ok=True)
@@ -66,7 +66,7 @@ def replacing(path: Path) -> Iterator[Path]:
         with _opened(path.parent) as folder:
             os.fsync(folder)
     except OSError as error:
-        if error.filename is None:  # a full disk names no file
+        if error.filename in (None, str(temporary)):  # a full disk names no file
             error.filename = str(path)
         raise
     finally:

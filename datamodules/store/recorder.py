@@ -51,9 +51,10 @@ class Recorder:
         self.path = final_path(path)
         self.header = Header(tuple(tasks), tuple(domains), plain_json(provenance))
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        join_parts(self.path)
         if self.path.exists():
             check_growth(self.path, domains)
-        join_parts(self.path)
+        self.added = 0  # Demonstrations, up to now
         self._numbers = itertools.count()
 
     def __enter__(self) -> Self:
@@ -81,7 +82,12 @@ class Recorder:
         with locked_folder(self.path.parent) as parent:
             folder.mkdir(exist_ok=True)
             os.fsync(parent)
-            write_file(folder / name, self.header, episodes, images="lzf")
+            try:
+                write_file(folder / name, self.header, episodes, images="lzf")
+            except TrajectoryFileError:
+                _remove_empty(folder)
+                raise
+        self.added += sum(map(len, episodes.values()))
 
 
 def parts_folder(path: Path) -> Path:
@@ -107,7 +113,10 @@ def join_parts(path: Path | str) -> None:
     with locked_folder(path.parent):
         if parts := part_files(path):
             opened = lru_cache(OPEN_PARTS)(TrajectoryFile.open)
-            extend_file(path, [_addition(part, opened) for part in parts])
+            try:
+                extend_file(path, [_addition(part, opened) for part in parts])
+            finally:
+                opened.cache_clear()  # closes them
             _remove(parts)
 
 
@@ -126,6 +135,10 @@ def _remove(parts: Sequence[Path]) -> None:
     folder = parts[0].parent
     for file in (*parts, *folder.glob(".*.tmp")):
         file.unlink(missing_ok=True)
+    _remove_empty(folder)
+
+
+def _remove_empty(folder: Path) -> None:
     with contextlib.suppress(OSError):
         folder.rmdir()
 

@@ -140,9 +140,8 @@ def _writable(path: Path, most_bytes: int) -> Iterator[None]:
         yield
     except (OSError, RuntimeError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or " ".join(str(error).split())
-        needed = f"it takes up to {most_bytes / 2**20:.1f} MiB"
-        expected = "expected a folder with free space: make room or choose another"
-        raise TrajectoryFileError(f"{path}: cannot be written ({reason}; {needed}); {expected}") from error
+        expected = f"expected a folder with free space: make room for {most_bytes} bytes or choose another"
+        raise TrajectoryFileError(f"{path}: cannot be written ({reason}); {expected}") from error
 
 
 def _write_domain(

@@ -25,7 +25,7 @@ from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.runs.provenance import expert_differences, expert_record
 from plp_lightning.runs.versions import versions
-from plp_lightning.runs.workers import Workers
+from plp_lightning.runs.workers import WorkError, Workers
 
 _domains: Mapping[str, Domain] = {}
 """In a collecting process: the experiment's domains, whose simulators are built once for each process."""
@@ -69,7 +69,10 @@ class ExpertCollector:
         first = next(iter(self.domains.values())).simulator
         specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
         with Recorder(path, specs, first.tasks.names, self._provenance()) as recorder:
-            self._record(recorder, self._jobs(path, missing))
+            try:
+                self._record(recorder, self._jobs(path, missing))
+            except WorkError as error:
+                raise WorkError(f"{error}; the {recorder.added} demonstrations made before are kept") from error
 
     def _record(self, recorder: Recorder, jobs: list[Job]) -> None:
         made, since = list[Trajectory](), time.monotonic()
