@@ -47,6 +47,7 @@ class PatientFile(io.RawIOBase):
         return self._at
 
     def write(self, block: Buffer) -> int:
+        """Write all of a block, to memory if the disk has refused; returns its bytes."""
         view = memoryview(block).cast("B")
         if self.refusal is None:
             self._store(view)
@@ -65,6 +66,7 @@ class PatientFile(io.RawIOBase):
             self.refusal = error
 
     def readinto(self, buffer: Buffer) -> int:
+        """Fill a buffer with what was written here, as far as the file goes; returns the bytes read."""
         view = memoryview(buffer).cast("B")[: max(0, self._size - self._at)]
         done, found = 0, b"begin"
         while done < len(view) and found:

@@ -66,7 +66,7 @@ def test_a_failure_is_told_with_its_kind_and_place() -> None:
 
 
 def test_a_users_mistake_comes_as_it_is() -> None:
-    with pytest.raises(UserError, match="^mend it$"):
+    with pytest.raises(UserError, match=r"^mend it$"):
         results("complain")
 
 
