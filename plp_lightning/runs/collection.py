@@ -72,7 +72,7 @@ class ExpertCollector:
             try:
                 self._record(recorder, self._jobs(path, missing))
             except WorkError as error:
-                raise WorkError(f"{error}; the {recorder.added} demonstrations made before are kept") from error
+                raise WorkError(f"{error}; {_kept(recorder.added)}") from error
 
     def _record(self, recorder: Recorder, jobs: list[Job]) -> None:
         made, since = list[Trajectory](), time.monotonic()
@@ -162,6 +162,10 @@ class ExpertCollector:
 def _refuse(path: Path, setting: str, found: object, wanted: object) -> NoReturn:
     told = f"{path}: its demonstrations were collected with {setting} {found}"
     raise UserError(f"{told}; expected {wanted}: restore the setting or name another --data.file")
+
+
+def _kept(count: int) -> str:
+    return f"the {count} demonstrations made before are kept; go on with the same command, plp fit with --resume"
 
 
 def _bytes(made: Trajectory) -> int:

@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from datamodules.errors import UserError
+from plp_lightning.stopping import SIGNALS
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -31,10 +32,8 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 
-class WorkError(Exception):
-    """A process died or failed; what the others made until then is kept."""
-
-    exit_code = 2
+class WorkError(UserError):
+    """A process died or failed."""
 
 
 class Workers(Generic[J, R]):
@@ -42,7 +41,7 @@ class Workers(Generic[J, R]):
 
     Jobs say in words what is done: ``str(job)`` is "demonstrating task …".
 
-    They ignore SIGINT and SIGTERM, which a terminal or a scheduler sends to all processes at once: the parent decides,
+    They ignore the signals that a terminal or a scheduler sends to all processes at once: the parent hears them,
     and kills them when the block ends, wherever they hang. If the parent is killed they go with it.
 
     Args:
@@ -122,7 +121,7 @@ class Workers(Generic[J, R]):
         except (EOFError, OSError) as error:
             raise WorkError(self._obituary(connection)) from error
         self.heard[connection] = time.monotonic()
-        if isinstance(message, UserError):
+        if isinstance(message, UserError):  # of the work
             raise message
         if isinstance(message, BaseException):
             raise WorkError(f"{self.jobs[connection]} failed: {message}")
@@ -156,7 +155,7 @@ def _pickled(work: Callable[[J], Iterator[R]]) -> bytes:
 @contextlib.contextmanager
 def _blocked_signals() -> Iterator[None]:
     """What is started in the block never hears these signals, from its first instruction on."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
     finally:

@@ -19,13 +19,13 @@ from datamodules.store import recorder
 from datamodules.store.reader import TrajectoryFile
 from datamodules.store.recorder import Recorder, part_files, parts_folder
 from datamodules.store.writer import write_trajectories
-from plp_lightning.callbacks.preemption import PreemptedError
 from plp_lightning.envs.base import Domain
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import ExpertCollector, Job, demonstrate
 from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
+from plp_lightning.stopping import PreemptedError
 
 RECIPE = CollectionConfig(processes=1)
 LIGHT = ["--data.trajectories", "14", "--data.target_trajectories", "2", "--collection.processes", "1"]

@@ -54,7 +54,6 @@ def test_a_process_that_dies_is_one_line_and_what_it_gave_is_kept(number: str) -
         kept.extend(found for found in pool.results([number], print) if found)
     assert re.match(rf"process \d+, {number}, was killed by {number}", str(caught.value))
     assert "\n" not in str(caught.value)
-    assert caught.value.exit_code == 2
     assert [job for job, _ in kept] in ([], [number])  # a pipe may lose what a killed process has not sent yet
 
 
@@ -75,7 +74,7 @@ def test_work_that_cannot_be_sent_is_a_users_mistake() -> None:
         Workers[str, str](1, lambda job: iter([job]))
 
 
-@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_signals_to_all_processes_are_left_to_the_parent(number: str) -> None:
     assert results(number)[-1] == f"{number} done"
 
