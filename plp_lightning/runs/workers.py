@@ -13,6 +13,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from types import TracebackType
@@ -155,6 +156,7 @@ def _pickled(work: Callable[[J], Iterator[R]]) -> bytes:
 @contextlib.contextmanager
 def _blocked_signals() -> Iterator[None]:
     """What is started in the block never hears these signals, from its first instruction on."""
+    resource_tracker.ensure_running()  # with the first process it would start too, and lift the block when it has
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
