@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 
 from datamodules.errors import UserError
+from plp_lightning.envs.faults import blaming
 from plp_lightning.runs.workers import Workers
 
 
@@ -17,6 +18,9 @@ def work(job: str) -> Iterator[str]:
     yield str(os.getpid())
     if job == "raise":
         raise ZeroDivisionError("a bug\nof two lines")
+    if job == "break":
+        with blaming(job):
+            raise ZeroDivisionError("unstable")
     if job == "complain":
         raise UserError("mend it")
     if job == "sleep":

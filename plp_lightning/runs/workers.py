@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from datamodules.errors import UserError
+from plp_lightning.envs.faults import SimulatorError
 from plp_lightning.stopping import SIGNALS
 
 if TYPE_CHECKING:
@@ -173,8 +174,10 @@ def _serve(connection: Connection, work: bytes) -> None:
             for result in results(connection.recv()):
                 connection.send([result])
             connection.send([])
+    except SimulatorError as error:
+        connection.send(RuntimeError(str(error)))
     except UserError as error:
-        connection.send(error)
+        connection.send(UserError(str(error)))  # those of other classes may need more than a message
     except (EOFError, BrokenPipeError):
         pass  # the parent is gone
     except Exception as error:

@@ -64,6 +64,11 @@ def test_a_failure_is_told_with_its_kind_and_place() -> None:
     assert str(caught.value) == f"raise failed: ZeroDivisionError: a bug of two lines ({chores.__file__}:{line})"
 
 
+def test_a_simulator_that_raises_is_a_failure_of_the_job() -> None:
+    with pytest.raises(WorkError, match=r"^break failed: str raised ZeroDivisionError at chores.py:\d+: unstable$"):
+        results("break")
+
+
 def test_a_users_mistake_comes_as_it_is() -> None:
     with pytest.raises(UserError, match=r"^mend it$"):
         results("complain")
