@@ -2,7 +2,13 @@
 
 
 class UserError(Exception):
-    """Something the user handed us is wrong; the command line prints the message alone and exits with 2."""
+    """Something the user handed us is wrong; the command line prints the message alone and exits with 2.
+
+    Messages quote files of others: characters that could steer a terminal are told by their codes.
+    """
+
+    def __str__(self) -> str:
+        return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in super().__str__())
 
 
 class TrajectoryFileError(UserError):

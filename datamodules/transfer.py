@@ -22,7 +22,9 @@ from datamodules.batches.orders import AlignmentOrder, MixOrder, NoSteps, PairOr
 from datamodules.errors import MissingTrajectoriesError
 from datamodules.problem import TransferProblem, TransferRoles
 from datamodules.settings import NonNegativeFloat, Seed
-from datamodules.store.reader import TrajectoryFile, verify_hashes
+from datamodules.store.atomic import final_path
+from datamodules.store.reader import TrajectoryFile, stored_count, verify_hashes
+from datamodules.store.recorder import join_parts, part_files
 from datamodules.streams import Stream, generator
 from datamodules.types import Batch, BatchSpec, Collector, DomainSpec
 
@@ -62,6 +64,7 @@ class TransferDataModule(LightningDataModule):
         self.tasks, self.proxy_tasks = roles.tasks, roles.proxy_tasks
         self.target_task, self.target_tasks = roles.target_task, roles.target_tasks
         self.demonstrations, self.batching, self.val_fraction = demonstrations, batching, demonstrations.val_fraction
+        self.collected = 0  # Demonstrations that :meth:`prepare_data` made here
         self._loader: Loader | None = None
         self._cursor: Mapping[str, int] | None = None
 
@@ -87,22 +90,31 @@ class TransferDataModule(LightningDataModule):
         return {domain: tasks for domain, tasks in missing.items() if tasks}
 
     def prepare_data(self) -> None:
-        """Collect the demonstrations that are missing, one process at a time.
+        """Collect the demonstrations that are missing, one process at a time; what a stopped one left is taken first.
 
         Raises:
             MissingTrajectoriesError: If some are missing and there is no collector.
             UserError: If the collector would have made those that are there otherwise.
         """
-        if self.collector is not None and self.path.exists():
-            self.collector.check(self.path)
+        place = final_path(self.path)
+        self.collected = 0
+        self._check_origin([self.path])
         if not self.missing():
             return
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(f"{self.path}.lock"):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{place}.lock"):
+            self._check_origin([self.path, *part_files(self.path)])  # others may have made them while this one waited
+            join_parts(self.path)
             if missing := self.missing():
                 if self.collector is None:
                     raise MissingTrajectoriesError(_lack(self.path, missing))
                 self.collector(self.path, missing)
+                self.collected = sum(sum(tasks.values()) for tasks in missing.values())
+
+    def _check_origin(self, files: Sequence[Path]) -> None:
+        for file in files:
+            if self.collector is not None and file.exists():
+                self.collector.check(file)
 
     @cached_property
     def datasets(self) -> dict[str, DomainDataset]:
@@ -254,5 +266,7 @@ def _lack(path: Path, missing: Mapping[str, Mapping[str, int]]) -> str:
     task, count = next(iter(tasks.items()))
     total = sum(sum(t.values()) for t in missing.values())
     found = f"{total} demonstrations are missing (first: {count} of task {task!r} in domain {domain!r})"
+    there = stored_count(path, domain, task)
+    held = f"of which it holds {there} of {there + count}"
     remedy = "import them or name another file with --data.file"
-    return f"{path}: {found} and the experiment has no simulator and expert to collect them; {remedy}"
+    return f"{path}: {found}, {held}, and the experiment has no simulator and expert to collect them; {remedy}"

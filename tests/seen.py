@@ -40,7 +40,7 @@ def demonstrations(count: int) -> list[Trajectory]:
     """``count`` demonstrations of each task in each domain."""
     collection._begin_process(domains(), 1)
     jobs = [Job(domain, task, count, frozenset()) for domain in domains() for task in TASKS]
-    return [made for job in jobs for made in demonstrate(job, CollectionConfig())]
+    return [made for job in jobs for wave in demonstrate(job, CollectionConfig()) for made in wave]
 
 
 def write(path: Path, count: int = 6) -> None:

@@ -70,6 +70,7 @@ LIGHT = (
     "plp_lightning.cli.main",
     "plp_lightning.cli.data",
     "datamodules.store.writer",
+    "plp_lightning.runs.collection",
 )
 SIMULATORS = {"mujoco", "robosuite", "gymnasium", "gymnasium_robotics", "metaworld"}
 NO_SIMULATOR = ("datamodules", "plp_lightning.losses", "plp_lightning.networks", METHODS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import glob
 import os
@@ -10,6 +11,26 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from datamodules.errors import UserError
+
+
+def final_path(path: Path | str) -> Path:
+    """Absolute path of the file that a path leads to, through links, whether it is there yet or not.
+
+    Raises:
+        UserError: If the path is a folder, or a link that leads back to itself.
+    """
+    path = Path(path)
+    try:
+        os.stat(path)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            found = f"{path}: is a link that leads back to itself"
+            raise UserError(f"{found}; expected a file or a free name: remove the link or name another") from error
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; expected a file or a free name: name a file in it")
+    return path.resolve()
 
 
 @contextmanager
@@ -30,6 +51,9 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Call it inside :func:`locked_folder`: leftovers of writers that were killed are swept first. If the block raises,
     the temporary file is removed and ``path`` stays as it was.
+
+    Raises:
+        OSError: If the file cannot be written, which names ``path``.
     """
     for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         leftover.unlink(missing_ok=True)
@@ -41,13 +65,17 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
         with _opened(path.parent) as folder:
             os.fsync(folder)
+    except OSError as error:
+        if error.filename in (None, str(temporary)):  # a full disk names no file
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def write_atomically(path: Path, text: str) -> None:
     """Write a text file in one visible step; its folder has to exist."""
-    path = path.resolve()
+    path = final_path(path)
     with locked_folder(path.parent), replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

@@ -26,6 +26,7 @@ from datamodules.errors import TrajectoryFileError
 NAME = re.compile(r"(?!\.{1,2}$)[A-Za-z0-9_.-]{1,64}")
 MAX_DEPTH = 8
 MAX_OBJECTS = 200_000
+MAX_ATTRIBUTES = 1000  # Of one object
 MAX_ATTRIBUTE_BYTES = 16 * 2**20
 UNSUSPICIOUS_BYTES = 256 * 2**20
 MAX_EXPANSION = 1000
@@ -68,17 +69,20 @@ def is_foreign_name(name: str) -> bool:
     return 0 < len(name) <= 255 and name.isprintable() and "/" not in name and name not in (".", "..")
 
 
-def open_guarded(path: Path, foreign: bool = False) -> h5py.File:
+def open_guarded(path: Path, limit: Callable[[h5py.File, Path], int] | None = None, foreign: bool = False) -> h5py.File:
     """Open a finished HDF5 file read-only after checking every object in it; the caller closes it.
 
     Args:
         path: The file.
+        limit: Reads from the attributes of the file how many objects it may hold, or raises; MAX_OBJECTS if not given.
         foreign: Whether another project made it: names may be any printable text, and it may hold rows of bytes of
             different lengths, such as compressed images.
 
     Raises:
         TrajectoryFileError: If the file is missing, empty, damaged or uses a feature that can harm its reader.
     """
+    if path.is_dir():
+        raise TrajectoryFileError(f"{path}: is a folder; expected a trajectory file: name the file in it")
     if not path.is_file():
         raise TrajectoryFileError(f"{path}: no such file; expected a trajectory file: check the path or collect it")
     if path.stat().st_size == 0:
@@ -87,20 +91,23 @@ def open_guarded(path: Path, foreign: bool = False) -> h5py.File:
         # Finished files need no lock, and NFS or Lustre may refuse one: https://github.com/h5py/h5py/issues/1101
         file = h5py.File(path, "r", locking=False)
         try:
-            check_objects(file, path, foreign)
+            _check_attributes(file, path, "/")
+            check_objects(file, path, None if limit is None else limit(file, path), foreign)
         except BaseException:
             file.close()
             raise
     return file
 
 
-def check_objects(file: h5py.File, path: Path, foreign: bool = False) -> list[str]:
+def check_objects(file: h5py.File, path: Path, limit: int | None = None, foreign: bool = False) -> list[str]:
     """Walk all groups and arrays, one name at a time, without reading any array; the first that is not plain raises.
+
+    More than ``limit`` objects are refused; MAX_OBJECTS if not given.
 
     Returns:
         Paths of all arrays, such as ``/domains/ant/actions``.
     """
-    seen = {_address(file)}
+    seen, limit = {_address(file)}, MAX_OBJECTS if limit is None else limit
     arrays: list[str] = []
     pending: list[tuple[str, h5py.Group]] = [("", file)]
     while pending:
@@ -112,8 +119,8 @@ def check_objects(file: h5py.File, path: Path, foreign: bool = False) -> list[st
             if _address(child) in seen:
                 _refuse(path, at, "is reachable by two names", "every object once")
             seen.add(_address(child))
-            if len(seen) > MAX_OBJECTS or at.count("/") > MAX_DEPTH:
-                _refuse(path, at, "is one object or level too many", f"{MAX_OBJECTS} objects, {MAX_DEPTH} levels")
+            if len(seen) > limit or at.count("/") > MAX_DEPTH:
+                _refuse(path, at, "is one object or level too many", f"{limit} objects, {MAX_DEPTH} levels")
             if isinstance(child, h5py.Group):
                 pending.append((at, child))
             else:
@@ -141,6 +148,8 @@ def _member(
 
 
 def _check_attributes(item: h5py.Group | h5py.Dataset, path: Path, at: str) -> None:
+    if len(item.attrs) > MAX_ATTRIBUTES:
+        _refuse(path, at, f"has {len(item.attrs)} attributes", f"at most {MAX_ATTRIBUTES}")
     for name in item.attrs:
         attribute = h5py.h5a.open(item.id, name.encode())
         if attribute.get_storage_size() > MAX_ATTRIBUTE_BYTES or not _is_plain(attribute.dtype):

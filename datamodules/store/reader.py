@@ -77,10 +77,9 @@ class TrajectoryFile:
             TrajectoryFileError: If it is missing, damaged, hostile, unfinished or of another format or version.
         """
         path = Path(path).absolute()
-        file = open_guarded(path)
+        file = open_guarded(path, schema.most_objects)
         try:
             with readable(path):
-                schema.check_identity(file, path)
                 return cls(path, file, schema.read_header(file, path))
         except BaseException:
             file.close()
@@ -198,7 +197,7 @@ class TrajectoryFile:
     def _array(self, place: str) -> h5py.Dataset:
         if self._file is None or self._owner != os.getpid():
             # A handle that came through a fork must not be used: https://github.com/pytorch/pytorch/issues/11929
-            file = open_guarded(self.path)
+            file = open_guarded(self.path, schema.most_objects)
             if schema.read_hashes(file) != self.hashes:
                 raise TrajectoryFileError(f"{self.path}: the file was replaced while in use; start again")
             self._file, self._owner = file, os.getpid()
@@ -223,6 +222,14 @@ class TrajectoryFile:
                 if start < stop:
                     array.read_direct(out, np.s_[rows[start] : rows[stop - 1] + 1], np.s_[start:stop])
             return out
+
+
+def stored_count(path: Path, domain: str, task: str) -> int:
+    """Number of demonstrations of a task in a domain that the file at ``path`` holds, if there is one."""
+    if not path.exists():
+        return 0
+    with TrajectoryFile.open(path) as file:
+        return file.counts().get(domain, {}).get(task, 0)
 
 
 def verify_hashes(path: Path | str) -> None:

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, cast
+from typing import Any, Literal, NamedTuple, NoReturn, cast
 
 import h5py
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.store.atomic import replacing
+from datamodules.store.patient import PatientFile
 from datamodules.store.reader import TrajectoryFile, verify_hashes
 from datamodules.store.schema import HEADER, Header, check_spec, check_tasks, digest, write_header
-from datamodules.types import DomainSpec, ObservationKey, Trajectory
+from datamodules.types import DomainSpec, Trajectory
 
 IMAGE_CHUNK = 8
 """Frames in a compressed block: few, to read single frames; enough to profit from a scene that stands still."""
@@ -65,20 +67,40 @@ def episodes_by_domain(
     return episodes
 
 
-def stored_episodes(file: TrajectoryFile, domain: str) -> list[Episode]:
-    """Episodes of a domain, states ``(T + 1, O)``, actions ``(T, A)``; none if the file does not know the domain."""
+class Output(NamedTuple):
+    """An HDF5 file that is being written."""
+
+    file: h5py.File
+    disk: PatientFile  # Asked after each large piece whether all of it found room
+    vectors: bool  # Whether vectors are compressed
+    images: Literal["gzip", "lzf"]  # How images are compressed; lzf is several times as fast and takes more room
+
+
+def stored_episodes(
+    file: TrajectoryFile, domain: str, opened: Callable[[], TrajectoryFile] | None = None
+) -> list[Episode]:
+    """Episodes of a domain, states ``(T + 1, O)``, actions ``(T, A)``; none if the file does not know the domain.
+
+    Their images are read when they are asked for, from the file that ``opened`` gives, or from this one.
+    """
     if domain not in {spec.name for spec in file.domains}:
         return []
     (offset, task, seed, success, last), arrays = file.episodes(domain), file.read(domain, images=False)
-    episodes = []
+    episodes, giver = [], opened or (lambda: file)
     for number, (start, stop) in enumerate(itertools.pairwise(offset)):
-        rows, image = np.append(np.arange(start, stop), last[number]), partial(_image, file, domain, number)
+        rows, image = np.append(np.arange(start, stop), last[number]), partial(_image, giver, domain, number)
         told = str(task[number]), int(seed[number]), bool(success[number])
         episodes.append(Episode(*told, arrays.state[rows[rows >= 0]], arrays.actions[start:stop], image))
     return episodes
 
 
-def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episode]], compress: bool) -> None:
+def write_file(
+    path: Path,
+    header: Header,
+    episodes: Mapping[str, Sequence[Episode]],
+    compress: bool = False,
+    images: Literal["gzip", "lzf"] = "gzip",
+) -> None:
     """Write a file beside ``path``, read it back, and put it in its place; call it with the folder locked.
 
     The episodes of each domain, states ``(T + 1, O)``, actions ``(T, A)``, may come in any order.
@@ -86,30 +108,44 @@ def write_file(path: Path, header: Header, episodes: Mapping[str, Sequence[Episo
     Raises:
         TrajectoryFileError: If the disk is full or the folder may not be written to; ``path`` stays as it was.
     """
-    with _writable(path), replacing(path) as temporary:
-        # The bounds keep files readable for HDF5 1.10.
-        with h5py.File(temporary, "w", libver=("earliest", "v110")) as file:
-            write_header(file, header)
-            hashes = {HEADER: header.digest()}
-            for spec in header.domains:
-                ordered = sorted(episodes.get(spec.name, ()), key=lambda e: (header.tasks.index(e.task), e.seed))
-                hashes |= _write_domain(file, spec, header.tasks, ordered, compress)
-            file.attrs["content_sha256"] = json.dumps(hashes, sort_keys=True)
-            file.attrs["complete"] = True
+    with _writable(path, _most_bytes(header, episodes)), replacing(path) as temporary:
+        with closing(PatientFile(temporary)) as disk:
+            # The bounds keep files readable for HDF5 1.10.
+            with h5py.File(disk, "w", libver=("earliest", "v110")) as file:
+                _write(Output(file, disk, compress, images), header, episodes)
+            disk.check()
         verify_hashes(temporary)
 
 
+def _write(output: Output, header: Header, episodes: Mapping[str, Sequence[Episode]]) -> None:
+    write_header(output.file, header)
+    hashes = {HEADER: header.digest()}
+    for spec in header.domains:
+        ordered = sorted(episodes.get(spec.name, ()), key=lambda e: (header.tasks.index(e.task), e.seed))
+        hashes |= _write_domain(output, spec, header.tasks, ordered)
+    output.file.attrs["content_sha256"] = json.dumps(hashes, sort_keys=True)
+    output.file.attrs["complete"] = True
+
+
+def _most_bytes(header: Header, episodes: Mapping[str, Sequence[Episode]]) -> int:
+    """Bytes that the arrays take if nothing in them can be compressed."""
+    frames = {spec.name: math.prod(spec.image_key.shape) if spec.image_key else 0 for spec in header.domains}
+    each = ((e, frames[name]) for name, found in episodes.items() for e in found)
+    return sum(e.state.nbytes + e.actions.nbytes + len(e.state) * frame for e, frame in each)
+
+
 @contextmanager
-def _writable(path: Path) -> Iterator[None]:
+def _writable(path: Path, most_bytes: int) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:
-        expected = "expected a folder with free space: make room or choose another"
-        raise TrajectoryFileError(f"{path}: cannot be written ({' '.join(str(error).split())}); {expected}") from error
+        reason = (isinstance(error, OSError) and error.strerror) or " ".join(str(error).split())
+        expected = f"expected a folder with free space: make room for {most_bytes} bytes or choose another"
+        raise TrajectoryFileError(f"{path}: cannot be written ({reason}); {expected}") from error
 
 
 def _write_domain(
-    file: h5py.File, spec: DomainSpec, tasks: Sequence[str], episodes: Sequence[Episode], compress: bool
+    output: Output, spec: DomainSpec, tasks: Sequence[str], episodes: Sequence[Episode]
 ) -> dict[str, str]:
     offset = np.cumsum([0, *(len(e.actions) for e in episodes)], dtype=np.int64)
     known = np.array([len(e.state) > len(e.actions) for e in episodes], np.bool_)
@@ -123,41 +159,48 @@ def _write_domain(
         "episodes/seed": np.array([e.seed for e in episodes], np.int64),
         "episodes/success": np.array([e.success for e in episodes], np.bool_),
     }
-    group = file[f"domains/{spec.name}"]
-    hashes = {f"{group.name}/{name}": _write_array(group, name, array, compress) for name, array in arrays.items()}
+    place = f"/domains/{spec.name}"
+    hashes = {f"{place}/{name}": _write_array(output, f"{place}/{name}", array) for name, array in arrays.items()}
     if spec.image_key is not None:
-        place = f"{group.name}/obs/{spec.image_key.name}"
-        hashes[place] = _write_images(group, spec.image_key, len(state), episodes)
+        images = f"{place}/obs/{spec.image_key.name}"
+        hashes[images] = _write_images(output, images, (len(state), *spec.image_key.shape), episodes)
     for key in spec.observation:
-        group[f"obs/{key.name}"].attrs.update({"kind": key.kind, "unit": key.unit, "shape": key.shape})
+        written = output.file[f"{place}/obs/{key.name}"]
+        written.attrs.update({"kind": key.kind, "unit": key.unit, "shape": key.shape})
     return hashes
 
 
-def _write_array(group: h5py.Group, name: str, array: np.ndarray, compress: bool) -> str:
-    compression = _gzip(ROW_CHUNK, array.shape) if compress and len(array) else {}
-    group.create_dataset(name, data=array, **compression)
+def _write_array(output: Output, place: str, array: np.ndarray) -> str:
+    compression = _gzip(ROW_CHUNK, array.shape) if output.vectors and len(array) else {}
+    output.file.create_dataset(place, data=array, **compression)
+    output.disk.check()
     return digest(array.dtype, array.shape, [array])
 
 
 def _gzip(rows: int, shape: tuple[int, ...]) -> dict[str, Any]:
-    chunk = (min(rows, shape[0]), *shape[1:])
-    return {"chunks": chunk, "compression": "gzip", "compression_opts": GZIP_LEVEL}
+    return {"chunks": _chunk(rows, shape), "compression": "gzip", "compression_opts": GZIP_LEVEL}
 
 
-def _write_images(group: h5py.Group, key: ObservationKey, rows: int, episodes: Sequence[Episode]) -> str:
-    shape, name = (rows, *key.shape), f"obs/{key.name}"
-    if not rows:
-        return _write_array(group, name, np.empty(shape, np.uint8), False)
-    array = group.create_dataset(name, shape, np.uint8, **_gzip(IMAGE_CHUNK, shape))
-    return digest(array.dtype, shape, _written(array, episodes))
+def _chunk(rows: int, shape: tuple[int, ...]) -> tuple[int, ...]:
+    return (min(rows, shape[0]), *shape[1:])
 
 
-def _written(array: h5py.Dataset, episodes: Iterable[Episode]) -> Iterator[np.ndarray]:
+def _write_images(output: Output, place: str, shape: tuple[int, ...], episodes: Sequence[Episode]) -> str:
+    if not shape[0]:
+        return _write_array(output, place, np.empty(shape, np.uint8))
+    lzf = {"chunks": _chunk(IMAGE_CHUNK, shape), "compression": "lzf"}
+    storage = _gzip(IMAGE_CHUNK, shape) if output.images == "gzip" else lzf
+    array = output.file.create_dataset(place, shape, np.uint8, **storage)
+    return digest(array.dtype, shape, _written(array, episodes, output.disk))
+
+
+def _written(array: h5py.Dataset, episodes: Iterable[Episode], disk: PatientFile) -> Iterator[np.ndarray]:
     start, last = 0, [np.empty((0, *array.shape[1:]), array.dtype)]
     for episode in episodes:
         images, steps = episode.image(), len(episode.actions)
         assert images is not None, "a domain with a camera has images, as was checked"
         array[start : start + steps] = images[:steps]
+        disk.check()
         start += steps
         last.append(images[steps:].copy())  # a view would keep all images in memory
         yield images[:steps]
@@ -166,8 +209,9 @@ def _written(array: h5py.Dataset, episodes: Iterable[Episode]) -> Iterator[np.nd
     yield ends
 
 
-def _image(file: TrajectoryFile, domain: str, episode: int) -> np.ndarray | None:
-    return file.read(domain, [episode]).image
+def _image(opened: Callable[[], TrajectoryFile], domain: str, episode: int) -> np.ndarray | None:
+    file = opened()
+    return file.images(domain, [episode]) if file.spec(domain).image_key else None
 
 
 def _check_names(trajectory: Trajectory, specs: Mapping[str, DomainSpec], tasks: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError
-from datamodules.store.guard import is_name
+from datamodules.store.guard import MAX_OBJECTS, is_name
 from datamodules.types import DomainSpec, ObservationKey
 
 FORMAT = "plp-trajectories"
@@ -30,6 +30,7 @@ EPISODE_COLUMNS: dict[str, type[np.generic]] = {
     "success": np.bool_,
     "last": np.int64,
 }
+OBJECTS_OF_A_DOMAIN = 1000  # Keys and what others add; each costs time at every opening
 _HASH_BLOCK_BYTES = 16 * 2**20
 
 
@@ -144,12 +145,28 @@ def check_identity(file: h5py.File, path: Path) -> None:
     """Refuse, by a :class:`TrajectoryFileError`, a file that is not a finished one of this format and version."""
     found, version, complete = (file.attrs.get(name) for name in ("format", "format_version", "complete"))
     if not isinstance(found, str) or found != FORMAT:
-        _fail(path, f"format {found!r}", f"{FORMAT!r}", "convert it with 'plp data import'")
+        _fail(
+            path,
+            f"format {found!r}",
+            f"{FORMAT!r}",
+            "see 'plp data import --help' for the formats that can be converted",
+        )
     if version not in READABLE:
         known = " or ".join(map(repr, READABLE))
         _fail(path, f"format version {version!r}", known, "update plp or convert the file")
     if complete is None or not bool(complete):
         _fail(path, "a file whose writing was never finished", "a complete one")
+
+
+def most_objects(file: h5py.File, path: Path) -> int:
+    """Objects that a finished file of this format may hold, by the number of domains that it announces.
+
+    Raises:
+        TrajectoryFileError: If it is none.
+    """
+    check_identity(file, path)
+    announced = str(file.attrs.get("domains")).count(",") + 1
+    return min(MAX_OBJECTS, OBJECTS_OF_A_DOMAIN * (announced + 1))
 
 
 def read_header(file: h5py.File, path: Path) -> Header:

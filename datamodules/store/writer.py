@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial, reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.specs import difference
-from datamodules.store.atomic import locked_folder
+from datamodules.store.atomic import final_path, locked_folder
 from datamodules.store.guard import check_objects, open_guarded
 from datamodules.store.reader import DomainArrays, EpisodeTable, TrajectoryFile, verify_hashes
 from datamodules.store.recording import Episode, episodes_by_domain, plain_json, stored_episodes, write_file
@@ -23,6 +25,9 @@ from datamodules.types import DomainSpec, Trajectory
 
 __all__ = ["FORMAT", "FORMAT_VERSION", "DomainArrays", "EpisodeTable", "TrajectoryFile", "verify_hashes"]
 __all__ += ["add_trajectories", "write_trajectories"]
+
+Addition: TypeAlias = "tuple[Header, Mapping[str, Sequence[Episode]]]"
+"""Header and episodes, by domain, that a file is to hold too."""
 
 
 def write_trajectories(
@@ -54,7 +59,8 @@ def add_trajectories(
 
     Episodes are sorted by task, then by seed; those with the same seed stay in the order in which they come.
     Demonstrations that the file holds already, value for value, are skipped; one whose last observation the file lacks
-    takes the place of the one there. Earlier provenance is kept under the key ``earlier``.
+    takes the place of the one there. Earlier provenance is kept under the key ``earlier``. As the whole file is written
+    anew, :class:`~datamodules.store.recorder.Recorder` is for those who add one demonstration at a time.
 
     Args:
         path: The file to grow; missing folders are made.
@@ -69,24 +75,42 @@ def add_trajectories(
         TrajectoryFileError: If a domain differs from the file's, the file holds arrays that growing would
             drop, it cannot be read or written, or a demonstration does not fit its domain. The old file stays.
     """
-    path, episodes = Path(path).resolve(), episodes_by_domain(trajectories, domains, tasks)
+    path, episodes = final_path(path), episodes_by_domain(trajectories, domains, tasks)
     path.parent.mkdir(parents=True, exist_ok=True)
     header = Header(tuple(tasks), tuple(domains), plain_json(provenance))
     with locked_folder(path.parent):
-        if not path.exists():
-            write_file(path, header, episodes, compress)
-            return
-        if new:
+        if new and path.exists():
             raise TrajectoryFileError(f"{path}: the file exists; expected a new one: choose another name or remove it")
-        with TrajectoryFile.open(path) as old:
-            _check_growth(old, domains)
-            merged = _merged_header(old, header)
-            names = [spec.name for spec in merged.domains]
-            both = {name: _union(stored_episodes(old, name), episodes.get(name, [])) for name in names}
-            write_file(path, merged, both, compress)
+        extend_file(path, [(header, episodes)], compress)
 
 
-def _merged_header(old: TrajectoryFile, new: Header) -> Header:
+def extend_file(path: Path, additions: Sequence[Addition], compress: bool = False) -> None:
+    """Do the work of :func:`add_trajectories` for several additions at once; call it with the folder locked."""
+    with ExitStack() as opened:
+        if path.exists():
+            old = opened.enter_context(TrajectoryFile.open(path))
+            _check_nothing_else(old)
+            known = Header(old.tasks, old.domains, old.provenance)
+            additions = [(known, {spec.name: stored_episodes(old, spec.name) for spec in old.domains}), *additions]
+        header = reduce(partial(_merged_header, path), (header for header, _ in additions))
+        names = [spec.name for spec in header.domains]
+        joined = {name: _union([episodes.get(name, ()) for _, episodes in additions]) for name in names}
+        write_file(path, header, joined, compress)
+
+
+def check_growth(path: Path, domains: Sequence[DomainSpec]) -> None:
+    """Refuse, before there is anything to add, what :func:`add_trajectories` would refuse to grow.
+
+    Raises:
+        TrajectoryFileError: If a domain differs from the file's, or the file holds arrays that growing would drop.
+    """
+    with TrajectoryFile.open(path) as old:
+        _check_specs(path, old.domains, domains)
+        _check_nothing_else(old)
+
+
+def _merged_header(path: Path, old: Header, new: Header) -> Header:
+    _check_specs(path, old.domains, new.domains)
     olds, news = ({spec.name: spec for spec in domains} for domains in (old.domains, new.domains))
     domains = tuple((olds | news)[name] for name in _merge([*olds], [*news]))
     return Header(_merge(old.tasks, new.tasks), domains, _history(old.provenance, new.provenance))
@@ -103,37 +127,42 @@ def _history(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     return {**new, "earlier": earlier} if earlier else new
 
 
-def _union(old: list[Episode], new: list[Episode]) -> list[Episode]:
-    both, known = [*old], defaultdict[tuple[str, int], list[int]](list)
-    for number, episode in enumerate(old):
-        known[episode.task, episode.seed].append(number)
-    for episode in new:
-        twin = next((i for i in known[episode.task, episode.seed] if _same(episode, old[i])), None)
-        if twin is None:
-            both.append(episode)
-        elif len(episode.state) > len(old[twin].state):
-            both[twin] = episode
+def _union(groups: Iterable[Sequence[Episode]]) -> list[Episode]:
+    """Episodes of all groups; of those that an earlier group holds already, the one that knows more."""
+    both, known = list[Episode](), defaultdict[tuple[str, int], list[int]](list)
+    for group in groups:
+        first = len(both)
+        for episode in group:
+            twin = next((i for i in known[episode.task, episode.seed] if _same(episode, both[i])), None)
+            if twin is None:
+                both.append(episode)
+            elif len(episode.state) > len(both[twin].state):
+                both[twin] = episode
+        for number, episode in enumerate(both[first:], first):
+            known[episode.task, episode.seed].append(number)
     return both
 
 
 def _same(one: Episode, other: Episode) -> bool:
     """Compare the values of two episodes, as far as both of them know the last observation."""
     rows = min(len(one.state), len(other.state))
-    arrays = zip(_values(one, rows), _values(other, rows), strict=True)
-    return one.success == other.success and all(np.array_equal(a, b) for a, b in arrays)
+    vectors = (one.actions, other.actions), (one.state[:rows], other.state[:rows])
+    if one.success != other.success or not all(np.array_equal(*pair) for pair in vectors):
+        return False
+    ours, theirs = (np.array(()) if image is None else image[:rows] for image in (one.image(), other.image()))
+    return np.array_equal(ours, theirs)
 
 
-def _values(episode: Episode, rows: int) -> tuple[np.ndarray, ...]:
-    image = episode.image()
-    return episode.actions, episode.state[:rows], np.array(()) if image is None else image[:rows]
-
-
-def _check_growth(old: TrajectoryFile, domains: Sequence[DomainSpec]) -> None:
-    known = {spec.name: spec for spec in old.domains}
-    for new in domains:
+def _check_specs(path: Path, olds: Sequence[DomainSpec], news: Sequence[DomainSpec]) -> None:
+    known = {spec.name: spec for spec in olds}
+    for new in news:
         if told := difference(known.get(new.name, new).to_dict(), new.to_dict(), "file"):
-            place = f"{old.path}: domain {new.name!r}"
+            place = f"{path}: domain {new.name!r}"
             raise TrajectoryFileError(f"{place} has {told}: restore the setting or collect into another file")
+
+
+def _check_nothing_else(old: TrajectoryFile) -> None:
+    """Refuse, by a :class:`TrajectoryFileError`, to grow a file with arrays that the format does not know."""
     paths = (array_paths(spec, old.version) for spec in old.domains)
     with open_guarded(old.path) as file:
         extra = set(check_objects(file, old.path)).difference(["/tasks/name"], *paths)

@@ -119,9 +119,9 @@ def run_collect(arguments: Sequence[str]) -> None:
     if options.train_expert or options.weights or options.steps:
         _train_expert(experiment, options)
         return
-    missing = sum(sum(tasks.values()) for tasks in experiment.data.missing().values())
-    experiment.data.prepare_data()
-    print(f"{experiment.data.path}: {f'{missing} demonstrations collected' if missing else 'complete'}")
+    data = experiment.data
+    data.prepare_data()
+    print(f"{data.path}: {f'{data.collected} demonstrations collected' if data.collected else 'complete'}")
 
 
 def _train_expert(experiment: Experiment, options: argparse.Namespace) -> None:

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import itertools
-import multiprocessing
 import shlex
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
 from datamodules.errors import UserError
-from datamodules.store.writer import TrajectoryFile, add_trajectories
+from datamodules.store.reader import TrajectoryFile, stored_count
+from datamodules.store.recorder import Recorder
 from datamodules.streams import EpisodeStream, episode_generator, episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.base import Domain, Step, available_cores
 from plp_lightning.envs.rollout import Observer, rollout
 from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
-from plp_lightning.runs.specs import check_file
+from plp_lightning.runs.provenance import expert_differences, expert_record
 from plp_lightning.runs.versions import versions
+from plp_lightning.runs.workers import WorkError, Workers
 
 _domains: Mapping[str, Domain] = {}
 """In a collecting process: the experiment's domains, whose simulators are built once for each process."""
+
+
+WAVE = 32  # Attempts that are made together: enough for the simulators, few enough to come to an end in seconds
+KEPT_SECONDS = 2.0  # Demonstrations that came in are on disk after at most so long …
+KEPT_BYTES = 64 * 2**20  # … or when there are so many; the parent holds no more
 
 
 @dataclass(frozen=True)
@@ -36,13 +43,17 @@ class Job:
     domain: str
     task: str
     count: int
-    known_seeds: frozenset[int]  # Seeds of demonstrations that the file already holds
+    known_seeds: frozenset[int]  # Seeds of the task's demonstrations that the file already holds
+
+    def __str__(self) -> str:
+        return f"demonstrating task {self.task!r} in domain {self.domain!r}"
 
 
 class ExpertCollector:
     """Fills a trajectory file with demonstrations by the domains' experts; only successes are kept.
 
-    Which demonstrations result depends on the recipe alone, not on how many processes made them.
+    Which demonstrations result depends on the recipe alone, not on how many processes made them or how often they were
+    interrupted. Whatever ends the collection, what came in more than KEPT_SECONDS ago is kept.
 
     Args:
         domains: Simulators and experts by domain.
@@ -54,73 +65,119 @@ class ExpertCollector:
 
     def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
         """Add ``missing[domain][task]`` demonstrations to the file at ``path``; if interrupted, those made so far."""
-        without = [name for name in missing if self.domains[name].expert is None]
-        if without:
-            raise UserError(f"domain {without[0]!r} has no expert; add one or import demonstrations into {path}")
-        for domain in (self.domains[name] for name in missing):
-            domain.expert.check(domain.simulator)  # type: ignore[union-attr]
+        self._check_experts(path, missing)
         first = next(iter(self.domains.values())).simulator
         specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
-        made: list[Trajectory] = []
+        with Recorder(path, specs, first.tasks.names, self._provenance()) as recorder:
+            try:
+                self._record(recorder, self._jobs(path, missing))
+            except WorkError as error:
+                raise WorkError(f"{error}; {_kept(recorder.added)}") from error
+
+    def _record(self, recorder: Recorder, jobs: list[Job]) -> None:
+        made, since = list[Trajectory](), time.monotonic()
         try:
-            made.extend(self._collect(self._jobs(path, missing)))  # one by one: those made before a stop are kept
-        except UserError:
-            made.clear()  # settings will have to change, and a file holds demonstrations of one recipe
-            raise
+            for more in self._collect(jobs):
+                made += more
+                late = time.monotonic() - since > KEPT_SECONDS
+                if made and (late or sum(map(_bytes, made)) > KEPT_BYTES):
+                    recorder.add(made)
+                    made, since = [], time.monotonic()
         finally:
             if made:
-                add_trajectories(path, specs, first.tasks.names, made, self._provenance())
+                recorder.add(made)
+
+    def _check_experts(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+        for name, tasks in missing.items():
+            domain = self.domains[name]
+            if domain.expert is None:
+                task, count = next(iter(tasks.items()))
+                there = stored_count(path, name, task)
+                held = f"which holds {there} of the {there + count} of task {task!r}"
+                remedy = f"add one or import demonstrations into {path}, {held}"
+                raise UserError(f"domain {name!r} has no expert; {remedy}")
+            domain.expert.check(domain.simulator)
 
     def check(self, path: Path) -> None:
-        """Refuse a file whose demonstrations another recipe made: who changes a setting means to see its effect.
+        """Refuse a file whose demonstrations another recipe or expert made: who changes a setting means its effect.
 
         Demonstrations that were imported are taken as they are.
         """
-        check_file(path, [domain.simulator.spec(name) for name, domain in self.domains.items()])
-        for recipe in self._recipes(path):
-            for name, (found, wanted) in self.recipe.differences(recipe).items():
-                told = f"{path}: its demonstrations were collected with --collection.{name} {found}"
-                raise UserError(f"{told}; expected {wanted}: restore the setting or name another --data.file")
+        # It knows checkpoints, and so torch, which the processes that collect do without.
+        from plp_lightning.runs.specs import check_file
 
-    def _recipes(self, path: Path) -> Iterator[Mapping[str, object]]:
-        """Recipes by which experts of this project made demonstrations of the domains."""
+        check_file(path, [domain.simulator.spec(name) for name, domain in self.domains.items()])
+        for recipe, experts in self._records(path):
+            for name, (found, wanted) in self.recipe.differences(recipe).items():
+                _refuse(path, f"--collection.{name}", found, wanted)
+            for name in self.domains.keys() & experts.keys():
+                if (expert := self.domains[name].expert) and experts[name] != "NoneType":
+                    for setting, (found, wanted) in expert_differences(expert, experts[name]).items():
+                        _refuse(path, f"--domains.{name}.expert{setting}", found, wanted)
+
+    def _records(self, path: Path) -> Iterator[tuple[Mapping[str, object], Mapping[str, object]]]:
+        """Recipes and experts that made the file's demonstrations of these domains."""
         with TrajectoryFile.open(path) as file:
             records = [file.provenance, *file.provenance.get("earlier", [])]
         for record in records:
             match record:
                 case {"experts": dict(experts), "recipe": dict(recipe)} if self.domains.keys() & experts.keys():
-                    yield recipe
+                    yield recipe, experts
 
     def _jobs(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> list[Job]:
-        known: dict[str, frozenset[int]] = {}
+        known: dict[tuple[str, str], frozenset[int]] = {}
         if path.exists():
             with TrajectoryFile.open(path) as file:
-                known = {s.name: frozenset(map(int, file.episodes(s.name).seed)) for s in file.domains}
+                for domain in (spec.name for spec in file.domains):
+                    table = file.episodes(domain)
+                    known |= {(domain, t): frozenset(table.seed[table.task == t].tolist()) for t in file.tasks}
         pairs = [(domain, task, n) for domain, tasks in missing.items() for task, n in tasks.items()]
-        return [Job(domain, task, n, known.get(domain, frozenset())) for domain, task, n in pairs]
+        return [Job(domain, task, n, known.get((domain, task), frozenset())) for domain, task, n in pairs]
 
-    def _collect(self, jobs: list[Job]) -> Iterator[Trajectory]:
+    def _collect(self, jobs: list[Job]) -> Iterator[list[Trajectory]]:
+        """Demonstrations as they are made; an empty list now and then, while none come."""
         cores = available_cores()
         total, processes = sum(job.count for job in jobs), min(self.recipe.processes or cores, len(jobs))
-        begin = partial(_begin_process, self.domains, max(1, cores // processes))
+        work = partial(_work, self.domains, max(1, cores // processes), self.recipe)
         with (
             JobProgress("collecting", total, "demonstrations") as progress,
-            ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin) as pool,
+            Workers[Job, list[Trajectory]](processes, work) as workers,
         ):
-            futures: dict[Future[list[Trajectory]], Job] = {pool.submit(demonstrate, j, self.recipe): j for j in jobs}
-            try:
-                for future in as_completed(futures):
-                    made = future.result()
-                    progress.advance(len(made), f"{futures[future].domain} {futures[future].task}")
-                    yield from made
-            except BaseException:
-                pool.shutdown(cancel_futures=True)  # no use in the rest if one task can't be had
-                raise
+            for result in workers.results(jobs, progress.tell):
+                if result is None:
+                    yield []
+                else:
+                    job, made = result
+                    progress.advance(len(made), f"{job.domain} {job.task}")
+                    yield made
 
     def _provenance(self) -> dict[str, object]:
-        experts = {name: type(domain.expert).__name__ for name, domain in self.domains.items()}
+        experts = {
+            name: expert_record(domain.expert) for name, domain in self.domains.items() if domain.expert is not None
+        }
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
         return {"command": command, "recipe": asdict(self.recipe), "experts": experts, "versions": versions()}
+
+
+def _refuse(path: Path, setting: str, found: object, wanted: object) -> NoReturn:
+    told = f"{path}: its demonstrations were collected with {setting} {found}"
+    raise UserError(f"{told}; expected {wanted}: restore the setting or name another --data.file")
+
+
+def _kept(count: int) -> str:
+    return f"the {count} demonstrations made before are kept; go on with the same command, plp fit with --resume"
+
+
+def _bytes(made: Trajectory) -> int:
+    return sum(array.nbytes for array in (*made.observation, made.actions) if array is not None)
+
+
+def _work(
+    domains: Mapping[str, Domain], threads: int, recipe: CollectionConfig, job: Job
+) -> Iterator[list[Trajectory]]:
+    if _domains is not domains:
+        _begin_process(domains, threads)
+    return demonstrate(job, recipe)
 
 
 def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
@@ -130,24 +187,28 @@ def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
         domain.simulator.threads = threads
 
 
-def demonstrate(job: Job, recipe: CollectionConfig) -> list[Trajectory]:
+def demonstrate(job: Job, recipe: CollectionConfig) -> Iterator[list[Trajectory]]:
     """The first ``job.count`` successes among the attempts, in their order: ``(T + 1, O)`` states, ``(T, A)`` actions.
+
+    They come in waves, as they are made.
 
     Raises:
         UserError: If the expert fails so often that ``recipe.attempts`` times the wanted number don't suffice.
     """
-    made, attempts = list[Trajectory](), 0
+    made = attempts = 0
     seeds = (episode_seed("collect", recipe.seed, job.domain, job.task, i) for i in itertools.count())
     unknown = (seed for seed in seeds if seed not in job.known_seeds)
-    while len(made) < job.count:
-        if attempts >= recipe.attempts * job.count + 10:
-            found = f"expert of domain {job.domain!r} solved task {job.task!r} {len(made)} times in {attempts} attempts"
+    while made < job.count:
+        # Failures of the attempts that led to the known ones are repeated, so they count too.
+        if attempts >= recipe.attempts * (job.count + len(job.known_seeds)) + 10:
+            found = f"expert of domain {job.domain!r} solved task {job.task!r} {made} times in {attempts} attempts"
             remedy = "mend the expert or raise --collection.attempts"
             raise UserError(f"{found}; {job.count} demonstrations were asked for; {remedy}")
-        wave = list(itertools.islice(unknown, max(4, job.count - len(made))))
-        made += _attempt(job, wave, recipe)
-        attempts += len(wave)
-    return made[: job.count]
+        wave = list(itertools.islice(unknown, min(WAVE, max(4, job.count - made))))
+        solved = _attempt(job, wave, recipe)[: job.count - made]
+        made, attempts = made + len(solved), attempts + len(wave)
+        if solved:
+            yield solved
 
 
 def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Trajectory]:

@@ -27,7 +27,7 @@ from plp_lightning.pictures.reconstructions import ReconstructionPicture
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.metrics_file import MetricsFile
-from plp_lightning.runs.progress import PhaseProgress
+from plp_lightning.runs.phase_progress import PhaseProgress
 from plp_lightning.runs.resumption import Resumption
 from plp_lightning.runs.stopwatch import Stopwatch
 

@@ -126,7 +126,7 @@ def test_no_process_is_started_for_a_gait_that_is_none(tmp_path: Path, monkeypat
     def never(*_: object, **__: object) -> None:
         raise AssertionError("a process was started")
 
-    monkeypatch.setattr(collection, "ProcessPoolExecutor", never)
+    monkeypatch.setattr(collection, "Workers", never)
     (tmp_path / "gait.safetensors").write_bytes(GOOD[:1000])
     page = ROOT / "configs" / "p2a_umaze.yaml"
     gait = ["--domains.ant.expert.weights", tmp_path / "gait.safetensors"]

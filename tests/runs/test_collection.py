@@ -54,7 +54,7 @@ def made(
     expert: Expert, job: Job, recipe: CollectionConfig = RECIPE, simulator: Simulator | None = None
 ) -> list[Trajectory]:
     collection._begin_process({"flat": Domain(simulator or LinearPoint(1, 3), expert)}, 1)
-    return demonstrate(job, recipe)
+    return [trajectory for wave in demonstrate(job, recipe) for trajectory in wave]
 
 
 def job(count: int, known: frozenset[int] = frozenset()) -> Job:
@@ -89,7 +89,8 @@ def test_demonstrations_do_not_depend_on_the_number_of_processes(tmp_path: Path)
     with TrajectoryFile.open(tmp_path / "two.hdf5") as file:
         assert file.tasks == tiny.TASKS
         assert file.provenance["recipe"] == {**asdict(RECIPE), "processes": 2}
-        assert file.provenance["experts"] == {"flat": "LinearPointExpert", "tall": "LinearPointExpert"}
+        expert = {"class_path": "plp_lightning.envs.synthetic.LinearPointExpert", "init_args": {"gain": 2.0}}
+        assert file.provenance["experts"] == {"flat": expert, "tall": expert}
 
 
 def test_growing_a_file_gives_what_collecting_at_once_gives(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from demonstrations import ARM, TASKS, demonstration
 
 from datamodules.errors import TrajectoryFileError
-from datamodules.store import guard
+from datamodules.store import guard, schema
 from datamodules.store.guard import is_name, open_guarded
 from datamodules.store.writer import TrajectoryFile, write_trajectories
 
@@ -172,8 +172,8 @@ def test_plain_files_pass(path):
         assert {"/more", "/words", "/flag", "/domains/arm/actions"} <= set(guard.check_objects(file, path))
 
 
-def test_a_folder_is_no_file(tmp_path):
-    with pytest.raises(TrajectoryFileError, match="no such file"):
+def test_a_folder_is_called_a_folder(tmp_path):
+    with pytest.raises(TrajectoryFileError, match="is a folder; expected a trajectory file"):
         open_guarded(tmp_path)
 
 
@@ -185,3 +185,40 @@ def test_names(name):
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "a b", "ü", "a\n", "9" * 65, "../x"])
 def test_no_names(name):
     assert not is_name(name)
+
+
+def test_a_file_with_far_more_objects_than_it_announces_is_refused_at_once(path, monkeypatch):
+    monkeypatch.setattr(schema, "OBJECTS_OF_A_DOMAIN", 20)
+    TrajectoryFile.open(path).close()
+    with h5py.File(path, "a") as file:
+        for number in range(100):
+            file.create_group(f"extra{number}")
+    walked = []
+    monkeypatch.setattr(guard, "_member", lambda *words, real=guard._member: walked.append(words) or real(*words))
+    with pytest.raises(TrajectoryFileError, match="is one object or level too many; expected 40 objects"):
+        TrajectoryFile.open(path)
+    assert len(walked) <= 40
+
+
+def test_another_projects_file_is_called_one_however_many_objects_it_has(tmp_path, monkeypatch):
+    monkeypatch.setattr(schema, "OBJECTS_OF_A_DOMAIN", 20)
+    with h5py.File(tmp_path / "x", "w") as file:
+        for number in range(100):
+            file.create_group(f"demo_{number}")
+    with pytest.raises(TrajectoryFileError, match=r"found format None; expected .*: see 'plp data import --help'"):
+        TrajectoryFile.open(tmp_path / "x")
+
+
+def test_a_flood_of_attributes_is_refused(path):
+    with h5py.File(path, "a", track_order=True) as file:
+        for number in range(1100):
+            file["domains"].attrs[f"a{number}"] = 1
+    with pytest.raises(TrajectoryFileError, match="/domains has 1100 attributes; expected at most 1000"):
+        TrajectoryFile.open(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"), [("\x1b[2Jgone", r"\x1b[2Jgone"), ("a\x07\u202eb", r"a\x07\u202eb"), ("ü\n", "ü\n")]
+)
+def test_messages_cannot_steer_a_terminal(text, told):
+    assert str(TrajectoryFileError(f"found {text}")) == f"found {told}"
