@@ -161,7 +161,7 @@ def test_sources_that_are_not_what_they_say(
         ("video", edit(INFO, fps=20), "found no frame in file-000.mp4; expected 4, as the table has rows"),
         ("video", edit(INFO, video_path="../x.mp4"), "found the path '../x.mp4'; expected one inside of this folder"),
     ],
-    ids=str,
+    ids=lambda value: value[:40] if isinstance(value, str) else value.__name__,
 )  # fmt: skip
 def test_images_that_are_not_there(tmp_path: Path, name: str, befall: Callable[[Path], None], told: str) -> None:
     limits = ["--action_low", -1.5, "--action_high", 2.5]
