@@ -25,15 +25,15 @@ class PreemptedError(BaseException):
 
 
 def listen(handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
-    """Let ``handler`` hear :data:`SIGNALS`, but those that the parent process chose to ignore, as nohup does.
+    """Let ``handler`` hear :data:`SIGNALS`, but HUP if the parent process chose to ignore it, as nohup does.
 
     Returns:
         The handlers before, by signal; none outside the main thread, which alone may set them.
     """
     if threading.current_thread() is not threading.main_thread():
         return {}
-    heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-    return {number: signal.signal(number, handler) for number in heard}
+    ignored = [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else []
+    return {number: signal.signal(number, handler) for number in SIGNALS if number not in ignored}
 
 
 @contextmanager

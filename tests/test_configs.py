@@ -206,7 +206,7 @@ def leaked(files: Sequence[Path], tree: dict[str, Any]) -> list[str]:
 def test_no_value_of_any_page_differs_from_its_default_unless_a_file_says_so(method: Path) -> None:
     for page in EXPERIMENTS:
         files = [page, method]
-        tree, _, _ = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS)
+        tree = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS).tree
         assert leaked(files, tree) == [], page.stem
 
 
@@ -215,7 +215,7 @@ def test_no_value_of_any_page_differs_from_its_default_unless_a_file_says_so(met
 def test_what_the_parser_fills_in_is_a_default_too(method: Path, page: str) -> None:
     files = [BY_NAME[page], method]
     allow_imports(ALLOWED_IMPORTS)
-    tree, _, _ = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS)
+    tree = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS).tree
     parser = build_parser(tree["phases"])
     parsed = parser.parse_args(["--config", yaml.safe_dump(tree, sort_keys=False)])
     assert leaked(files, yaml.safe_load(parser.dump(parsed, skip_unset=False))) == []
@@ -236,13 +236,13 @@ def test_a_leak_would_be_found(method: str, leak: str, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(config, "overlay", leaky)
     files = [BY_NAME["v2v_open"], ROOT / "configs" / "methods" / f"{method}.yaml"]
-    tree, _, _ = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS)
+    tree = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS).tree
     assert leak in leaked(files, tree)
 
 
 def test_a_value_from_nowhere_would_be_found() -> None:
     files = [BY_NAME["p2a_medium"], ROOT / "configs" / "methods" / "plp.yaml"]
-    tree, _, _ = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS)
+    tree = resolve([word for file in files for word in ("--config", str(file))], ALLOWED_IMPORTS).tree
     for key, value in (
         ("policy.init_args.latent", 7),
         ("alignment.init_args.terms.mmd.init_args.scale_gradient", False),

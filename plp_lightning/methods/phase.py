@@ -70,7 +70,7 @@ class Phase(Configured, LightningModule, Generic[P]):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         optimizer = self.optimizer(self.parameter_groups())
-        if self.trainer.gradient_clip_val:
+        if self._trainer is not None and self._trainer.gradient_clip_val:
             let_clip(optimizer)
         if self.lr_scheduler is None:
             return optimizer

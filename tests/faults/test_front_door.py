@@ -110,7 +110,7 @@ def test_what_is_no_package_cannot_be_trusted(name: str, tmp_path: Path) -> None
         (["--method", "con\x1b[31m"], "'con\\x1b[31m' holds a control character"),
         (["--run_root", "x" * 5000], "File name too long"),
         (["--data.file", "x" * 5000], "File name too long"),
-        (["--data.file", "/"], "/: no such file"),
+        (["--data.file", "/"], "/: is a folder"),
         (["--data.file", "/dev/null"], "/dev/null: no such file"),
         (["--data.root", "/dev/null"], "Not a directory"),
         (["--data.batch_size", "x" * 5000], "data.batch_size is xxx"),
