@@ -5,22 +5,27 @@ from dataclasses import dataclass
 
 from datamodules.settings import Configured, Fraction, NonNegativeFloat, PositiveInt
 
+COLLECTED, COLLECTED_TARGET = 1000, 64
+"""Demonstrations of the proxy tasks, and of the target task, that experts make if no numbers are given."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstrations(Configured):
     """Numbers of demonstrations.
 
     Args:
-        trajectories: Demonstrations of all proxy tasks together, for each domain.
+        trajectories: Demonstrations of all proxy tasks together, for each domain. If not given, all there are, or
+            1000 in a domain whose expert makes them.
         source_trajectories: Demonstrations of all proxy tasks together in each domain but the target domain; as many as
             ``trajectories`` if not given.
-        target_trajectories: Demonstrations of the target task in the source domain, all its tasks together.
+        target_trajectories: Demonstrations of the target task in the source domain, all its tasks together. If not
+            given, all there are, or 64 that an expert makes.
         val_fraction: Share of the trajectories that is kept from training, for the held-out loss.
     """
 
-    trajectories: PositiveInt = 1000
+    trajectories: PositiveInt | None = None
     source_trajectories: PositiveInt | None = None
-    target_trajectories: PositiveInt = 64
+    target_trajectories: PositiveInt | None = None
     val_fraction: Fraction = 0.05
 
 
@@ -51,6 +56,8 @@ class DataSettings(Demonstrations, Batching):
         source_domain: Domain whose demonstrations of the target task adapt the policy.
         target_domain: Domain that the policy is transferred to.
         target_task: Name of the target task.
+        proxy_tasks: Names of the tasks that align the domains; all but the target if not given, and of those in a file
+            all that every domain shows.
         proxy_goals: Goals that proxy tasks end at; all if not given.
         root: Folder of trajectory files; PLP_DATA or data if not given.
         file: Trajectory file; <root>/<experiment>.hdf5 if not given.
@@ -61,6 +68,7 @@ class DataSettings(Demonstrations, Batching):
     source_domain: str
     target_domain: str
     target_task: str
+    proxy_tasks: list[str] | None = None
     proxy_goals: PositiveInt | None = None
     root: str | None = None
     file: str | None = None

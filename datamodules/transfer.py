@@ -13,7 +13,7 @@ import torch
 from filelock import FileLock
 from lightning.pytorch import LightningDataModule
 
-from datamodules.amounts import Batching, Demonstrations
+from datamodules.amounts import COLLECTED, COLLECTED_TARGET, Batching, Demonstrations
 from datamodules.batches.dataset import DomainDataset, build_dataset, check_values
 from datamodules.batches.images import Images, stored_images
 from datamodules.batches.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
@@ -73,20 +73,31 @@ class TransferDataModule(LightningDataModule):
         wanted, needed = self.demonstrations, dict[str, dict[str, int]]()
         for domain in self.domains:
             total = (domain != self.target_domain and wanted.source_trajectories) or wanted.trajectories
-            needed[domain] = dict.fromkeys(self.proxy_tasks, -(-total // len(self.proxy_tasks)))
-        per_target = -(-wanted.target_trajectories // len(self.target_tasks))
-        needed[self.source_domain] |= dict.fromkeys(self.target_tasks, per_target)
+            needed[domain] = self._shares(domain, self.proxy_tasks, total, COLLECTED)
+        source = self.source_domain
+        needed[source] |= self._shares(source, self.target_tasks, wanted.target_trajectories, COLLECTED_TARGET)
         return needed
+
+    def _shares(self, domain: str, tasks: Sequence[str], total: int | None, collected: int) -> dict[str, int]:
+        """Demonstrations of each task: equal shares of a ``total``, or else as many as there are."""
+        if total is None and not (self.collector is not None and self.collector.makes(domain)):
+            counts = self.counts().get(domain, {})
+            return {task: max(1, counts.get(task, 0)) for task in tasks}
+        return dict.fromkeys(tasks, -(-(total or collected) // len(tasks)))
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Demonstrations that the file holds, by domain and task; none if there is no file."""
+        if not self.path.exists():
+            return {}
+        with TrajectoryFile.open(self.path) as file:
+            return file.counts()
 
     def missing(self) -> dict[str, dict[str, int]]:
         """The part of :meth:`needed` that the file lacks; empty if nothing is missing."""
-        missing = self.needed()
-        if self.path.exists():
-            with TrajectoryFile.open(self.path) as file:
-                counts = file.counts()
-            for domain, tasks in missing.items():
-                lacking = {task: n - counts.get(domain, {}).get(task, 0) for task, n in tasks.items()}
-                missing[domain] = {task: n for task, n in lacking.items() if n > 0}
+        missing, counts = self.needed(), self.counts()
+        for domain, tasks in missing.items():
+            lacking = {task: n - counts.get(domain, {}).get(task, 0) for task, n in tasks.items()}
+            missing[domain] = {task: n for task, n in lacking.items() if n > 0}
         return {domain: tasks for domain, tasks in missing.items() if tasks}
 
     def prepare_data(self) -> None:

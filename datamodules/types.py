@@ -216,5 +216,8 @@ class Collector(Protocol):
     def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
         """Add ``missing[domain][task]`` successful demonstrations to the file at ``path``, atomically."""
 
+    def makes(self, domain: str) -> bool:
+        """Whether it can make demonstrations of a domain."""
+
     def check(self, path: Path) -> None:
         """Refuse, by a :class:`UserError`, a file whose demonstrations this collector would have made otherwise."""

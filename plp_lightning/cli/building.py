@@ -11,13 +11,13 @@ from jsonargparse import ArgumentParser, Namespace
 from datamodules.amounts import DataSettings
 from datamodules.errors import ConfigError, UserError
 from datamodules.plain_yaml import dump_yaml
-from datamodules.problem import TransferRoles
 from datamodules.transfer import TransferDataModule
 from datamodules.words import expand_home
 from plp_lightning.cli.keeping import keep
 from plp_lightning.evaluation.scores import JointScore
 from plp_lightning.runs.collection import ExpertCollector
-from plp_lightning.runs.experiment import Experiment, Method, check_names, check_roles
+from plp_lightning.runs.experiment import Experiment, Method, check_names
+from plp_lightning.runs.roles import find_roles
 
 NEEDED = ("domains", "method", "policy", "phases")
 
@@ -74,17 +74,8 @@ def _settle_places(config: Namespace) -> None:
 
 
 def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
-    check_roles(made.domains, data.source_domain, data.target_domain)
-    tasks = made.domains[data.source_domain].simulator.tasks
-    roles = TransferRoles(
-        domains=tuple(made.domains),
-        source_domain=data.source_domain,
-        target_domain=data.target_domain,
-        tasks=tasks.names,
-        proxy_tasks=tasks.proxies(data.target_task, data.proxy_goals),
-        target_task=data.target_task,
-        target_tasks=tasks.of(data.target_task),
-    )
     path = Path(data.file) if data.file else Path(str(data.root)) / f"{made.experiment}.hdf5"
-    collector = ExpertCollector(made.domains, made.collection)
+    roles = find_roles(made.domains, data, path)
+    simulated = all(domain.simulator is not None for domain in made.domains.values())
+    collector = ExpertCollector(made.domains, made.collection) if simulated else None
     return TransferDataModule(path, roles, data, data, made.seed, data.image_memory, collector)

@@ -28,6 +28,7 @@ from plp_lightning.cli.layers import Tree, check_shape, completed, insert, overl
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
+from plp_lightning.evaluation import mixing  # noqa: F401
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory
 from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
@@ -227,7 +228,9 @@ def _check_package(name: str) -> None:
 def _value(text: str) -> Any:
     """What a word of the command line says; ``{a, b}`` and ``a:`` are words."""
     value = parse_yaml(text)
-    return text if isinstance(value, dict) and value and not any(x is not None for x in value.values()) else value
+    if isinstance(value, dict) and value and "\n" not in text and all(x is None for x in value.values()):
+        return text
+    return value
 
 
 def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:

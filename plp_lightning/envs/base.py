@@ -99,12 +99,18 @@ class Domain:
     """One entry of an experiment's ``domains``: a simulator and its demonstrator.
 
     Args:
-        simulator: The domain's simulator.
+        simulator: The domain's simulator; None if it is known by its demonstrations alone.
         expert: Its demonstrator; None if demonstrations come from a file only.
     """
 
-    simulator: Simulator
+    simulator: Simulator | None = None
     expert: Expert | None = None
+
+    @property
+    def world(self) -> Simulator:
+        """The simulator of a domain that is known to have one."""
+        assert self.simulator is not None, "expected a domain with a simulator"
+        return self.simulator
 
 
 def available_cores() -> int:

@@ -31,6 +31,8 @@ class AlignmentScore(Configured, ABC):
 
     names: ClassVar[tuple[str, ...]] = ()
     """Names that its scores have; an experiment's scores share none."""
+    needs_simulators: ClassVar[bool] = True
+    """Whether it asks the domains' simulators something; without them it is refused before a run begins."""
 
     @abstractmethod
     def __call__(

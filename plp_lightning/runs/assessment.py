@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from datamodules.errors import MissingTrajectoriesError
+from datamodules.errors import ConfigError, MissingTrajectoriesError
 from datamodules.store.atomic import locked_folder, replacing, write_atomically
 from datamodules.transfer import TransferDataModule
+from plp_lightning.evaluation.held_out import held_out_actions, held_out_errors
 from plp_lightning.methods.policy import Policy
 from plp_lightning.runs.demonstrations import check_fingerprint
 from plp_lightning.runs.devices import device_name, resolved_device
@@ -64,6 +65,9 @@ class Assessment:
 
     def success(self, episodes: int | None, seed: int | None) -> dict[str, dict[str, Any]]:
         """Outcome of every trial; None stands for the experiment's own number and seed."""
+        if not self.experiment.eval_settings_of(self.policy):
+            told = f"{self.checkpoint}: acts in no domain that has a simulator"
+            raise ConfigError(f"{told}; expected one to test it in: look at held-out actions by plp validate")
         outcomes = self.experiment.evaluate(self.policy, episodes, seed)
         return {name: outcome.to_dict() for name, outcome in outcomes.items()}
 
@@ -78,30 +82,15 @@ class Assessment:
         write_atomically(path, json.dumps(record | about, indent=2) + "\n")
 
 
-def _held_out_actions(assessment: Assessment) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in."""
-    policy, data = assessment.policy, assessment.data
-    device = next(policy.parameters()).device
-    found = {}
-    for domain, rows in data.rows([*data.proxy_tasks, *data.target_tasks], "val").items():
-        if domain in policy.acts_in:
-            steps = data.datasets[domain].take(torch.from_numpy(rows))
-            with torch.inference_mode():
-                seen, task = steps.observation.map(lambda x: x.to(device)), steps.task.to(device)
-                action = policy.predict_actions({domain: seen}, {domain: task})[domain].cpu()
-            found[domain] = (action.numpy(), steps.action.numpy())
-    return found
-
-
 def held_out_losses(assessment: Assessment) -> dict[str, float]:
     """Behavioural-cloning loss of actions ``(N, A)`` on held-out trajectories, by domain (Eq. 1)."""
-    pairs = _held_out_actions(assessment)
-    return {f"val/bc_{d}": float(((p - a) ** 2).mean()) for d, (p, a) in pairs.items()}
+    errors = held_out_errors(assessment.policy, assessment.data)
+    return {f"val/bc_{domain}": error for domain, error in errors.items()}
 
 
 def predict_actions(assessment: Assessment, path: Path) -> str:
     """Write ``<domain>/predicted`` and ``<domain>/demonstrated``, each ``(N, A)``, to an .npz file; tell their size."""
-    pairs = _held_out_actions(assessment)
+    pairs = held_out_actions(assessment.policy, assessment.data)
     arrays = {f"{domain}/predicted": predicted for domain, (predicted, _) in pairs.items()}
     arrays |= {f"{domain}/demonstrated": demonstrated for domain, (_, demonstrated) in pairs.items()}
     with locked_folder(path.resolve().parent), replacing(path.resolve()) as temporary, temporary.open("wb") as file:

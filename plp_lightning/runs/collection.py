@@ -66,8 +66,8 @@ class ExpertCollector:
     def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
         """Add ``missing[domain][task]`` demonstrations to the file at ``path``; if interrupted, those made so far."""
         self._check_experts(path, missing)
-        first = next(iter(self.domains.values())).simulator
-        specs = [domain.simulator.spec(name) for name, domain in self.domains.items()]
+        first = next(iter(self.domains.values())).world
+        specs = [domain.world.spec(name) for name, domain in self.domains.items()]
         with Recorder(path, specs, first.tasks.names, self._provenance()) as recorder:
             try:
                 self._record(recorder, self._jobs(path, missing))
@@ -96,7 +96,10 @@ class ExpertCollector:
                 held = f"which holds {there} of the {there + count} of task {task!r}"
                 remedy = f"add one or import demonstrations into {path}, {held}"
                 raise UserError(f"domain {name!r} has no expert; {remedy}")
-            domain.expert.check(domain.simulator)
+            domain.expert.check(domain.world)
+
+    def makes(self, domain: str) -> bool:
+        return self.domains[domain].expert is not None
 
     def check(self, path: Path) -> None:
         """Refuse a file whose demonstrations another recipe or expert made: who changes a setting means its effect.
@@ -106,7 +109,7 @@ class ExpertCollector:
         # It knows checkpoints, and so torch, which the processes that collect do without.
         from plp_lightning.runs.specs import check_file
 
-        check_file(path, [domain.simulator.spec(name) for name, domain in self.domains.items()])
+        check_file(path, [domain.world.spec(name) for name, domain in self.domains.items()])
         for recipe, experts in self._records(path):
             for name, (found, wanted) in self.recipe.differences(recipe).items():
                 _refuse(path, f"--collection.{name}", found, wanted)
@@ -184,7 +187,7 @@ def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
     """The processes share the cores; where tasks are fewer than cores, each gets several for its physics."""
     globals()["_domains"] = domains
     for domain in domains.values():
-        domain.simulator.threads = threads
+        domain.world.threads = threads
 
 
 def demonstrate(job: Job, recipe: CollectionConfig) -> Iterator[list[Trajectory]]:
@@ -215,7 +218,7 @@ def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Traje
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
     demonstrator = Demonstrator(domain, recipe.noise, recipe.random_start_steps)
-    episodes = rollout(domain.simulator, demonstrator.act, tasks, seeds, recipe.hold_steps, [demonstrator])
+    episodes = rollout(domain.world, demonstrator.act, tasks, seeds, recipe.hold_steps, [demonstrator])
     solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.random_start_steps))
     return [_trajectory(job, demonstrator, int(i)) for i in solved]
 
@@ -236,7 +239,7 @@ class Demonstrator(Observer):
 
     def __init__(self, domain: Domain, noise: float, random_start_steps: int = 0) -> None:
         assert domain.expert is not None
-        self.simulator, self.expert = domain.simulator, domain.expert
+        self.simulator, self.expert = domain.world, domain.expert
         self.noise, self.random_start_steps = noise, random_start_steps
 
     def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 from datamodules.errors import TrajectoryFileError
 from datamodules.transfer import TransferDataModule
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.roles import left_out
 
 
 def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
@@ -22,6 +24,10 @@ def prepare_demonstrations(experiment: Experiment, run: RunDirectory) -> None:
     finally:
         spent = run.status().get("collection_seconds", 0.0) + time.monotonic() - began
         run.write_json("status.json", run.status() | {"collection_seconds": spent})
+    for task, domain in left_out(experiment.data).items():
+        print(
+            f"task {task!r} is left out: {experiment.data.path} shows none of it in domain {domain!r}", file=sys.stderr
+        )
     run.write_json("status.json", run.status() | {"data_sha256": check_fingerprint(experiment.data, run)})
 
 

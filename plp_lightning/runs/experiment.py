@@ -13,12 +13,13 @@ from lightning.pytorch import Callback
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.store.guard import as_name
+from datamodules.store.reader import TrajectoryFile
 from datamodules.transfer import TransferDataModule
 from datamodules.types import DomainSpec
 from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.envs.faults import forgiving
 from plp_lightning.envs.rollout import Observer
-from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.evaluation.scores import JointScore
 from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
@@ -49,7 +50,7 @@ class Experiment:
     domains: Mapping[str, Domain]
     data: TransferDataModule
     evaluation: EvaluationPlan
-    score: AlignmentScore | None
+    score: JointScore | None
     callbacks: Sequence[Callback]
     trainer: Mapping[str, Any]  # Arguments of Lightning's Trainer
     config: str  # The resolved configuration as YAML
@@ -61,8 +62,8 @@ class Experiment:
 
     @property
     def simulators(self) -> dict[str, Simulator]:
-        """Simulators by domain."""
-        return {name: domain.simulator for name, domain in self.domains.items()}
+        """Simulators by domain, of those that have one."""
+        return {name: domain.simulator for name, domain in self.domains.items() if domain.simulator is not None}
 
     @property
     def eval_settings(self) -> dict[str, EvalSetting]:
@@ -76,13 +77,18 @@ class Experiment:
         }
 
     def eval_settings_of(self, policy: Policy) -> dict[str, EvalSetting]:
-        """The trials in domains that a policy acts in."""
-        return {name: trial for name, trial in self.eval_settings.items() if trial.domain in policy.acts_in}
+        """The trials in domains that a policy acts in and that are simulated."""
+        possible = self.simulators.keys() & {*policy.acts_in}
+        return {name: trial for name, trial in self.eval_settings.items() if trial.domain in possible}
 
     @property
     def specs(self) -> list[DomainSpec]:
-        """Domains as the simulators show them: states ``(O,)``, images ``(H, W, C)`` and actions ``(A,)``."""
-        return [simulator.spec(name) for name, simulator in self.simulators.items()]
+        """Domains as simulators show them, or else the file: states ``(O,)``, images ``(H, W, C)`` and so on."""
+        shown = {name: simulator.spec(name) for name, simulator in self.simulators.items()}
+        if shown.keys() < self.domains.keys():
+            with TrajectoryFile.open(self.data.path) as file:
+                shown = {name: file.spec(name) for name in self.domains} | shown
+        return [shown[name] for name in self.domains]
 
     @property
     def unscaled_problem(self) -> TransferProblem:
@@ -136,12 +142,3 @@ def check_names(names: Mapping[str, str]) -> None:
     for key, name in names.items():
         if not NAME.fullmatch(name):
             raise ConfigError(f"{key} is {name!r}; expected up to 64 letters, digits, '.', '_' and '-'; rename it")
-
-
-def check_roles(domains: Mapping[str, Domain], source: str, target: str) -> None:
-    """Refuse, by a :class:`ConfigError`, source and target unless they are two domains of the experiment."""
-    for key, name in (("source_domain", source), ("target_domain", target)):
-        if name not in domains:
-            raise ConfigError(f"--data.{key} is {name!r}; the domains of this experiment are {', '.join(domains)}")
-    if source == target:
-        raise ConfigError(f"source and target domain are both {source!r}; set two different ones")

@@ -10,6 +10,7 @@ from lightning.pytorch import Trainer, seed_everything
 
 from datamodules.errors import CheckpointError
 from plp_lightning.callbacks.checkpointing import previous_checkpoint, read_checkpoint
+from plp_lightning.evaluation.held_out import held_out_errors
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
@@ -91,7 +92,8 @@ def assess(experiment: Experiment, phase: Phase, trainer: Trainer) -> dict[str, 
     phase.policy.eval()
     with on_device(phase.policy, trainer.strategy.root_device):  # Lightning has put it back on the processor
         trials = _pictured_trials(experiment, phase.policy, trainer) if phase.policy_acts else {}
-        return {"trials": trials, "alignment": experiment.alignment(phase.policy)}
+        errors = held_out_errors(phase.policy, experiment.data) if phase.policy_acts else {}
+        return {"trials": trials, "alignment": experiment.alignment(phase.policy), "held_out": errors}
 
 
 def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, dict[str, Any]]:

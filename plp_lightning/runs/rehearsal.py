@@ -13,14 +13,24 @@ def check_method(experiment: Experiment) -> None:
     """Build the policy, all phases, and their optimizers and schedules.
 
     Raises:
-        ConfigError: If one can't be built.
+        ConfigError: If one can't be built, or a score asks simulators that are not there.
     """
+    _check_scores(experiment)
     try:
         _build_all(experiment)
     except UserError:
         raise
     except Exception as error:  # each class has errors of its own for settings that cannot be
         raise ConfigError(f"a setting is impossible: {type(error).__name__}: {error}; change it") from None
+
+
+def _check_scores(experiment: Experiment) -> None:
+    lacking = [name for name in experiment.domains if name not in experiment.simulators]
+    scores = experiment.score.scores if experiment.score is not None else ()
+    for score in scores:
+        if score.needs_simulators and lacking:
+            told = f"score {type(score).__name__} asks simulators, and domain {lacking[0]!r} has none"
+            raise ConfigError(f"{told}; expected NeighbourhoodScore or the like: choose another --score")
 
 
 def _build_all(experiment: Experiment) -> None:
@@ -38,7 +48,8 @@ def check_demonstrations(experiment: Experiment) -> None:
 
     Raises:
         OSError: If there can be no file of that name.
-        UserError: If it is no trajectory file, or its demonstrations were collected otherwise.
+        UserError: If it is no trajectory file, its demonstrations were collected otherwise, or some are missing that
+            nobody can make.
     """
     data = experiment.data
     with contextlib.suppress(FileNotFoundError):
@@ -46,3 +57,5 @@ def check_demonstrations(experiment: Experiment) -> None:
         if data.collector is not None:
             data.collector.check(data.path)
         data.missing()
+    if data.collector is None:
+        data.prepare_data()

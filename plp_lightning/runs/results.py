@@ -43,6 +43,7 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         "phases": [*done],
         **{trial: {**x, "before": before.get(trial, {}).get("success")} for trial, x in last["trials"].items()},
         "alignment": last["alignment"],
+        "held_out": last.get("held_out", {}),
         "seconds": {"collection": run.status().get("collection_seconds", 0.0)}
         | {name: record["seconds"] for name, record in done.items()},
         "data_sha256": experiment.data.fingerprint,
@@ -72,10 +73,15 @@ def _trials_before(
 def print_results(results: Mapping[str, Any], run: RunDirectory) -> None:
     """The result table."""
     title = f"{results['experiment']} · {results['method']} · {results['target_task']} · seed {results['seed']}"
-    _print_table(results, title)
+    if any(trial in results for trial in ROWS):
+        _print_table(results, title)
+    else:
+        print(f"{shown(title)}\nsuccess: not simulated, as no domain has a simulator")
+    errors = ", ".join(f"{domain} {error:.4f}" for domain, error in results.get("held_out", {}).items())
     scores = ", ".join(f"{name} {value:.3f}" for name, value in results["alignment"].items())
     times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
-    lines = f"alignment: {scores or 'not scored'}\ntime: {times}\nrun directory: {run.path}"
+    lines = f"alignment: {scores or 'not scored'}\nerror of held-out actions: {errors or 'none held out'}"
+    lines += f"\ntime: {times}\nrun directory: {run.path}"
     Console(soft_wrap=True).print(shown(lines), highlight=False)
 
 

@@ -138,8 +138,8 @@ def quiet_lightning() -> None:
 def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> list[Callback]:
     plan, simulators = experiment.evaluation, experiment.simulators
     found: list[Callback] = [FreezeGuard(), FiniteGuard(), RandomState()]
-    if phase.policy_acts:
-        settings, every = experiment.eval_settings_of(phase.policy), plan.every_n_epochs.get(name)
+    if phase.policy_acts and (settings := experiment.eval_settings_of(phase.policy)):
+        every = plan.every_n_epochs.get(name)
         evaluation = simulators, settings, plan.episodes, every, experiment.seed, plan.metrics
         found.append(SimulatorEvaluation(*evaluation))
     if experiment.score is not None:
