@@ -79,7 +79,7 @@ class DomainColumns:
 
     def place(self, x: Tensor, domain: str) -> Tensor:
         """The domain's ``(B, n)`` → ``(B, width + D)``: zeros elsewhere, and the one-hot domain id behind."""
-        placed = x.new_zeros(len(x), self.width + len(self.slices))
+        placed = x.new_zeros(x.shape[0], self.width + len(self.slices))
         placed[:, self.slices[domain]] = x
         placed[:, self.width + list(self.slices).index(domain)] = 1
         return placed
@@ -91,4 +91,4 @@ class DomainColumns:
 
 def split_by_domain(joined: Tensor, parts: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Takes rows ``(Σ B_d, N)`` apart again: ``(B_d, N)`` by domain, as many as ``parts`` has, in its order."""
-    return dict(zip(parts, joined.split([len(part) for part in parts.values()]), strict=True))
+    return dict(zip(parts, joined.split([part.shape[0] for part in parts.values()]), strict=True))

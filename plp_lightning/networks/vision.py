@@ -71,7 +71,7 @@ class ImageEncoder(nn.Module):
         return torch.cat([self._features(part) for part in image.split(self.most_rows)])
 
     def _features(self, image: Tensor) -> Tensor:
-        place = self.coordinates.expand(len(image), -1, -1, -1)
+        place = self.coordinates.expand(image.shape[0], -1, -1, -1)
         pixels = torch.cat([image.to(place.dtype) / 255, place], dim=-1)
         maps: Tensor = self.convolutions(pixels.permute(0, 3, 1, 2))
         features: Tensor = self.linear(maps.flatten(1))
@@ -169,7 +169,7 @@ def encode_images(
         cameras: Domains that have one.
     """
     size = encoder.linear.out_features
-    blank = {domain: obs.state.new_zeros(len(obs.state), size) for domain, obs in observation.items()}
+    blank = {domain: obs.state.new_zeros(obs.state.shape[0], size) for domain, obs in observation.items()}
     images = {domain: obs.image for domain, obs in observation.items() if obs.image is not None}
     expected = [domain for domain in observation if domain in cameras]
     assert expected == [*images], f"images of {[*images]}, but cameras in {expected}"

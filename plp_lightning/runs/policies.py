@@ -16,6 +16,7 @@ from plp_lightning.callbacks.checkpointing import read_checkpoint
 from plp_lightning.methods.policy import Policy
 from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.export import SUFFIXES, read_safetensors
 from plp_lightning.runs.specs import check_checkpoint
 
 PACKAGE = "plp_lightning"
@@ -27,7 +28,7 @@ def load_policy(
     """Load a trained policy, ready to act on states ``(n, O)``: ``policy.act(observation, domain=…, task=…)``.
 
     Args:
-        path: A run directory, or a checkpoint in one.
+        path: A run directory, a checkpoint in one, or a safetensors file that ``plp export`` wrote.
         phase: Phase whose checkpoint to take; the last one that has any if not given.
         which: ``last`` or ``best`` checkpoint of the phase.
         allow_imports: Packages of yours that the policy's class may be imported from.
@@ -36,8 +37,8 @@ def load_policy(
         ConfigError: If there is no such run or phase, or the policy's class may not be imported.
         CheckpointError: If the checkpoint is damaged or would run code.
     """
-    file = Path(path) if Path(path).is_file() else _checkpoint_of(RunDirectory.open(Path(path)), phase, which)
-    content = read_checkpoint(file)
+    file = Path(path) if Path(path).is_file() else checkpoint_of(RunDirectory.open(Path(path)), phase, which)
+    content = read_safetensors(file) if file.suffix == SUFFIXES["safetensors"] else read_checkpoint(file)
     problem = TransferProblem.from_dict(content["policy"]["problem"])
     # mypy allows no abstract class to stand for its subclasses: https://github.com/python/mypy/issues/4717
     policy: Policy = build(_recipe(content["policy"], file), Policy, [PACKAGE, *allow_imports], problem)  # type: ignore[type-abstract]
@@ -69,7 +70,8 @@ def _put_weights(policy: Policy, content: dict[str, Any], checkpoint: Path) -> N
         raise CheckpointError(f"{checkpoint}: {lost[0]} is not finite; use a checkpoint from before training diverged")
 
 
-def _checkpoint_of(run: RunDirectory, phase: str | None, which: str) -> Path:
+def checkpoint_of(run: RunDirectory, phase: str | None, which: str) -> Path:
+    """Checkpoint of a phase, or of the last one that has any; a :class:`ConfigError` says if there is none."""
     names = [phase] if phase else [*run.status()["phases"]]
     found = [run.checkpoint(name, which) for name in names if run.checkpoint(name, which).exists()]
     if not found:
