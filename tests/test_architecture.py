@@ -20,6 +20,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 WORDS = {
     "datamodules.errors",
     "datamodules.types",
+    "datamodules.named",
     "datamodules.problem",
     "datamodules.settings",
     "datamodules.specs",
@@ -37,6 +38,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "datamodules.specs": set(),
     "datamodules.streams": set(),
     "datamodules.limits": {"datamodules.errors"},
+    "datamodules.named": {"datamodules.errors", "datamodules.types"},
     "datamodules.types": {"datamodules.errors", "datamodules.limits"},
     "datamodules.store": WORDS,
     "datamodules.batches": WORDS | {"datamodules.store"},

@@ -18,6 +18,7 @@ from plp_lightning.runs.progress import JobProgress
 
 STEP = "plp_lightning.callbacks.preemption:Preemption.on_train_batch_end"
 EVALUATION = "plp_lightning.runs.experiment:evaluate_all"
+CONNECTOR = "lightning.pytorch.trainer.connectors.logger_connector.logger_connector"
 PHASES = ("alignment", "adaptation")
 SCHEDULES = ["--alignment.lr_scheduler", "CosineDecay", "--adaptation.lr_scheduler", "CosineDecay"]
 ALL = ["--alignment.terms.tcc", "TCC", "--alignment.terms.adversarial", "DomainAdversarial", *SCHEDULES]
@@ -172,3 +173,19 @@ def test_changed_demonstrations_stop_a_resumed_run(tmp_path: Path) -> None:
     told = complaint("fit", "--resume", run.path)
     assert "smoke.hdf5: the demonstrations have changed" in told
     assert run.checkpoint("alignment").read_bytes() == weights
+
+
+def test_curves_of_an_epoch_are_written_before_its_checkpoint(tmp_path: Path) -> None:
+    """A run that is killed right after one goes on behind them."""
+    often = ["--evaluation.every_n_epochs.alignment", "1", "--evaluation.every_n_epochs.adaptation", "1"]
+    assert plp("fit", *tiny_smoke(tmp_path / "whole"), *often).code == 0
+    broken = ["fit", *tiny_smoke(tmp_path / "broken"), *often]
+    after = f"{CONNECTOR}:_LoggerConnector.update_train_epoch_metrics"
+    for nth in (1, 2):
+        assert dies(broken, after, nth, signal.SIGKILL) == -signal.SIGKILL
+        broken = ["fit", "--resume", str(smoke_run(tmp_path / "broken").path)]
+    assert plp(*broken).code == 0
+    for phase in ("alignment", "adaptation"):
+        curves = [(smoke_run(tmp_path / name).phase(phase) / "metrics.csv").read_text() for name in ("whole", "broken")]
+        assert "eval/target_success" in curves[0] or phase == "alignment"
+        assert curves[0] == curves[1]

@@ -169,8 +169,10 @@ class Telescope(Reaching):
         self.start, self.spread = np.array([0.4, 0.4]), np.array([0.4, 0.15])
 
     def keys(self) -> tuple[ObservationKey, ...]:
-        return ObservationKey("boom", (1,), unit="cm"), ObservationKey("angle", (1,), unit="deg"), ObservationKey(
-            "tool", (2,), unit="cm"
+        return (
+            ObservationKey("boom", (1,), unit="cm"),
+            ObservationKey("angle", (1,), unit="deg"),
+            ObservationKey("tool", (2,), unit="cm"),
         )
 
     def tip(self, joints: np.ndarray) -> np.ndarray:

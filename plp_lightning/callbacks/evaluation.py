@@ -54,7 +54,7 @@ class SimulatorEvaluation(Callback):
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if self._due(trainer.current_epoch + 1) and isinstance(pl_module, Phase):
             began = time.monotonic()
-            self._evaluate(pl_module)
+            self._evaluate(trainer, pl_module)
             self.last = time.monotonic()
             self.cost = self.last - began
 
@@ -63,14 +63,14 @@ class SimulatorEvaluation(Callback):
             return time.monotonic() - self.last >= self.cost / SHARE
         return self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
 
-    def _evaluate(self, phase: Phase) -> None:
+    def _evaluate(self, trainer: Trainer, phase: Phase) -> None:
         training, plan = phase.policy.training, (self.eval_settings, self.episodes, self.seed, self.metrics)
         with forgiving("this evaluation is left away"):
+            found = dict[str, float]()
             for name, outcome in evaluate_all(phase.policy.eval(), self.simulators, *plan).items():
-                phase.log(f"eval/{name}_success", outcome.success)
-                phase.log(f"eval/{name}_invalid", float(outcome.invalid))
-                for metric, value in outcome.behaviour.items():
-                    phase.log(f"eval/{name}_{metric}", value)
+                told = {"success": outcome.success, "invalid": float(outcome.invalid), **outcome.behaviour}
+                found |= {f"eval/{name}_{measure}": value for measure, value in told.items()}
+            _log_at_once(trainer, phase, found)
         phase.policy.train(training)
 
 
@@ -93,5 +93,17 @@ class AlignmentMetrics(Callback):
         turn = self.every_n_epochs > 0 and (trainer.current_epoch + 1) % self.every_n_epochs == 0
         if turn and isinstance(pl_module, Phase) and isinstance(pl_module.policy, AligningPolicy):
             with forgiving("alignment scores that need it are left away"):
-                for name, value in self.score(pl_module.policy, self.data, self.simulators).items():
-                    pl_module.log(f"alignment/{name}", value)
+                scores = self.score(pl_module.policy, self.data, self.simulators)
+                _log_at_once(trainer, pl_module, {f"alignment/{name}": value for name, value in scores.items()})
+
+
+def _log_at_once(trainer: Trainer, phase: Phase, metrics: Mapping[str, float]) -> None:
+    """Log what an epoch came to before its checkpoint is saved: whoever is killed after that has it in the curves.
+
+    Lightning would write it after the epoch's last hook, at the step that is used here.
+    """
+    for name, value in metrics.items():
+        phase.log(name, value, logger=False)
+    for logger in trainer.loggers:
+        step = trainer.fit_loop.epoch_loop._batches_that_stepped - 1
+        logger.log_metrics({**metrics, "epoch": trainer.current_epoch}, step)

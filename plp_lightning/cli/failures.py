@@ -3,9 +3,23 @@
 from __future__ import annotations
 
 import re
+import sys
+import threading
 
 from datamodules.errors import UserError
 from plp_lightning.stopping import PreemptedError
+
+
+def tell_of_threads() -> None:
+    """Let a thread that can't write, TensorBoard's for instance, say so in a line: what it lost stops no run."""
+    threading.excepthook = _tell_of_thread
+
+
+def _tell_of_thread(failed: threading.ExceptHookArgs) -> None:
+    if isinstance(failed.exc_value, OSError):
+        print(f"what a thread was writing is incomplete: {failed.exc_value}", file=sys.stderr)
+    else:
+        threading.__excepthook__(failed)
 
 
 def answer_to(error: BaseException, way_on: str) -> tuple[str, int] | None:

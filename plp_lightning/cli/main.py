@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from datamodules.errors import ConfigError
 from datamodules.words import one_line
-from plp_lightning.cli.failures import answer_to
+from plp_lightning.cli.failures import answer_to, tell_of_threads
 from plp_lightning.cli.screen import loss, steady_screen
 from plp_lightning.cli.surroundings import settle_surroundings
 from plp_lightning.cli.words import read_words
@@ -47,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words = list(sys.argv[1:] if arguments is None else arguments)
     settle_surroundings()
     steady_screen()
+    tell_of_threads()
     way_on = "plp fit --resume RUN_DIR" if words[:1] == ["fit"] else "the same command"
     try:
         with stoppable():

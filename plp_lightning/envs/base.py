@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -64,15 +63,6 @@ class Simulator(Configured, ABC):
 
         Actions are clipped to [-1, 1]. Rows of the result are in the order of ``episodes``.
         """
-
-    def departures(self, *names: str) -> str:
-        """The named arguments that are not at their defaults, as the end of a spec's ``env``: ``, radius 0.3``.
-
-        Of those that are nothing is said, so that files are known which are older than an argument.
-        """
-        defaults = inspect.signature(type(self)).parameters
-        given = {name: self.arguments[name] for name in names if name in self.arguments}
-        return "".join(f", {name} {value}" for name, value in given.items() if value != defaults[name].default)
 
 
 class Expert(Configured, ABC):

@@ -10,12 +10,15 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
+from datamodules.named import gather
 from datamodules.problem import TransferProblem
 from datamodules.settings import Configured
 from datamodules.types import Actor, Observation
 
 Parts = Mapping[str, Tensor]
 """One tensor by domain, with as many rows as the domain has in the batch."""
+Raw = Observation[np.ndarray] | Mapping[str, np.ndarray]
+"""What a robot gives: an observation, or its arrays by name."""
 Observations = Mapping[str, Observation[Tensor]]
 """Observations of B_d rows each, by domain."""
 
@@ -52,20 +55,26 @@ class Policy(Configured, nn.Module, ABC):
             task: Indices of the tasks ``(B_d,)`` int64, by domain.
         """
 
-    def act(self, observation: Observation[np.ndarray], domain: str, task: str | Sequence[str]) -> np.ndarray:
-        """Actions ``(B, A)`` in the owner's units for B observations of a domain; in [-1, 1] if it states no limits.
+    def act(self, observation: Raw, domain: str, task: str | Sequence[str]) -> np.ndarray:
+        """Actions ``(B, A)``, or ``(…, A)``, in the owner's units; in [-1, 1] if the domain states no limits.
 
         Args:
-            observation: Raw: state ``(B, O)``, image ``(B, H, W, C)`` uint8 or None.
+            observation: Raw: state ``(B, O)``, image ``(B, H, W, C)`` uint8 or None; or arrays ``(…, n)`` by name.
             domain: Name of the domain.
             task: Name of the task of all rows, or of each.
 
         Raises:
-            ConfigError: If the policy knows no such domain or task, or the domain shows states of another size.
+            UserError: If the policy knows no such domain or task, or the domain shows arrays of another shape.
         """
+        _check_known("domain", [domain], self.acts_in)
+        spec, lead = self.domains[domain], None
+        if not isinstance(observation, Observation):
+            observation, lead = gather(spec, observation)
         names = [task] * len(observation.state) if isinstance(task, str) else task
-        actions, spec = self._act(observation, domain, self._task_ids(names)), self.domains[domain]
-        return actions if spec.action_low is None else spec.owner_actions(np.clip(actions, -1, 1)).astype(np.float32)
+        actions = self._act(observation, domain, self._task_ids(names))
+        if spec.action_low is not None:
+            actions = spec.owner_actions(np.clip(actions, -1, 1)).astype(np.float32)
+        return actions if lead is None else actions.reshape(*lead, spec.action_size)
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
         """Gives a function that acts in new episodes of ``tasks``, maybe with a memory: ``(n, O)`` → ``(n, A)``.

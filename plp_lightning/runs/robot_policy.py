@@ -59,7 +59,7 @@ class RobotPolicy(nn.Module):
         acted = self.policy.predict_actions({self.domain: Observation(state, image)}, {self.domain: task})[self.domain]
         if self.spec.action_low is None:
             return acted
-        return acted * ((self.high - self.low) / 2) + (self.low + self.high) / 2
+        return acted.clamp(-1, 1) * ((self.high - self.low) / 2) + (self.low + self.high) / 2
 
     def examples(self, rows: int) -> tuple[Tensor, ...]:
         """Arguments of so many rows, zeros, in the right shapes and types."""

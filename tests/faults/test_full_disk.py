@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import itertools
 import os
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from datamodules.store.patient import PatientFile
 from datamodules.store.recorder import Recorder
 from datamodules.store.writer import add_trajectories, verify_hashes, write_trajectories
 from datamodules.types import DomainSpec, Observation, ObservationKey, Trajectory
+from plp_lightning.cli.failures import tell_of_threads
 
 SPEC = DomainSpec("arm", (ObservationKey("joints", (3,)), ObservationKey("view", (16, 16, 3), "image")), 2, 10.0)
 WHY = {"command": "tests"}
@@ -149,3 +151,23 @@ def test_a_real_limit_on_file_sizes(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     write_trajectories(tmp_path / "x", [SPEC], ["lift"], map(demonstration, range(9)), WHY)
     verify_hashes(tmp_path / "x")
+
+
+def test_a_thread_that_cannot_write_says_so_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """As TensorBoard's, whose traceback would fill the screen."""
+
+    def fail(error: Exception) -> None:
+        raise error
+
+    before = threading.excepthook
+    tell_of_threads()
+    try:
+        for error in (OSError(28, "No space left on device"), ValueError("a fault of the program")):
+            thread = threading.Thread(target=fail, args=(error,))
+            thread.start()
+            thread.join()
+    finally:
+        threading.excepthook = before
+    first, *rest = capsys.readouterr().err.splitlines()
+    assert first == "what a thread was writing is incomplete: [Errno 28] No space left on device"
+    assert rest[-1] == "ValueError: a fault of the program"

@@ -127,7 +127,7 @@ def test_actions_are_in_the_units_of_the_robot(tmp_path: Path) -> None:
 
 
 def test_policies_that_see_leave_too(tmp_path: Path) -> None:
-    domains = [domain.simulator.spec(name) for name, domain in seen.domains().items()]
+    domains = [domain.world.spec(name) for name, domain in seen.domains().items()]
     torch.manual_seed(0)
     policy = PortablePolicy(tiny.problem(domains, ["x", "y"]), latent=8, hidden=16, image_encoder=ImageEncoding([4, 4]))
     name = policy.cameras[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
@@ -48,7 +49,7 @@ class Maze(Simulator):
     ) -> None:
         if layout not in LAYOUTS:
             raise ConfigError(f"unknown maze layout {layout!r}; expected one of: {', '.join(LAYOUTS)}")
-        self.layout, self._layout_name = LAYOUTS[layout], layout
+        self.layout = LAYOUTS[layout]
         self.frame = Frame.gymnasium(self.layout.shape, self.scale) if frame == "gymnasium" else self._d4rl_frame()
         self.horizon, self.threads = horizon or self.horizons[layout], threads
         self._radius, self._jitter = radius * self.scale, jitter
@@ -60,10 +61,17 @@ class Maze(Simulator):
         return self.layout.tasks
 
     def spec(self, name: str) -> DomainSpec:
-        env = self._description + self.departures("radius", "jitter")
-        if self.horizon != self.horizons[self._layout_name]:
-            env += f", horizon {self.horizon}"
+        env = self._description + self._departures("radius", "jitter")
         return DomainSpec(name, self._keys(), self._action_size, 100 / self.frame_skip, env)
+
+    def _departures(self, *names: str) -> str:
+        """The named arguments that are not at their defaults, as the end of a spec's ``env``: ``, radius 0.3``.
+
+        Of those that are nothing is said, so that files are known which are older than an argument.
+        """
+        defaults = inspect.signature(type(self)).parameters
+        given = {name: self.arguments[name] for name in names if name in self.arguments}
+        return "".join(f", {name} {value}" for name, value in given.items() if value != defaults[name].default)
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         chosen = [self.layout.task(name) for name in tasks]
