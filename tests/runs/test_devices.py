@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from datamodules.types import Observation
 from plp_lightning.cli.config import parse
+from plp_lightning.evaluation.held_out import held_out_actions
 from plp_lightning.methods.policy import Policy
 from plp_lightning.runs import assessment, experiment, fit
 from plp_lightning.runs.devices import device_name, on_device, resolved_device
@@ -90,7 +91,7 @@ def test_tasks_travel_only_when_episodes_have_ended(monkeypatch: pytest.MonkeyPa
 def test_held_out_actions_are_predicted_where_the_policy_is(tmp_path: Path) -> None:
     looked_at = assessment.Assessment(parse(tiny_smoke(tmp_path)), tmp_path / "none.ckpt", tmp_path)
     looked_at.__dict__["policy"] = policy = Elsewhere()
-    found = assessment._held_out_actions(looked_at)
+    found = held_out_actions(looked_at.policy, looked_at.data)
     assert policy.heard == {"meta"}
     assert all(len(predicted) == len(shown) for predicted, shown in found.values())
 
