@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     Fraction: TypeAlias = float
     Seed: TypeAlias = int
     Threads: TypeAlias = int
+    Depth: TypeAlias = int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +69,7 @@ if not TYPE_CHECKING:
     NonNegativeFloat = _bounded("NonNegativeFloat", Bound(float, "a number, at least 0", lambda x: 0 <= x < math.inf))
     Seed = _bounded("Seed", Bound(int, "a whole number from 0 to 4294967295", lambda n: 0 <= n < 1 << 32))
     Threads = _bounded("Threads", Bound(int, "a whole number from 1 to 1024", lambda n: 1 <= n <= 1024))
+    Depth = _bounded("Depth", Bound(int, "a whole number from 1 to 1000", lambda n: 1 <= n <= 1000))
     Share = _bounded("Share", Bound(float, "a share from 0 to 1", lambda x: 0 <= x <= 1))
     Fraction = _bounded("Fraction", Bound(float, "a share from 0 to below 1", lambda x: 0 <= x < 1))
 

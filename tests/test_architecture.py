@@ -45,6 +45,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "datamodules.formats": WORDS | {"datamodules.store"},
     "datamodules": {"datamodules"},
     "plp_lightning.stopping": set(),
+    "plp_lightning.plugins": {"datamodules.errors"},
     "plp_lightning.networks": WORDS,
     "plp_lightning.losses": WORDS,
     METHODS: {"datamodules", "plp_lightning.losses", "plp_lightning.networks"},
@@ -54,7 +55,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
     "plp_lightning.report": {"datamodules.errors"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
-    | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping"},
+    | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"},
     "plp_lightning.cli.main": {
         "datamodules.errors",
         "datamodules.words",

@@ -30,6 +30,7 @@ from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation import mixing  # noqa: F401
 from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.plugins import find_in_working_folder, plugins
 from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory
 from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
@@ -54,7 +55,9 @@ def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     Raises:
         ConfigError: If anything in them is wrong; one line that names it.
     """
-    allowed = [*ALLOWED_IMPORTS, *option_values(arguments, "allow_imports")]
+    own = option_values(arguments, "allow_imports")
+    find_in_working_folder(own)
+    allowed = [*ALLOWED_IMPORTS, *plugins(), *own]
     allow_imports(allowed)
     found = resolve(arguments, allowed)
     parser = build_parser(found.tree["phases"])

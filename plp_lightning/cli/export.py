@@ -8,6 +8,7 @@ from typing import Any
 
 from plp_lightning.cli.layers import read_yaml
 from plp_lightning.cli.options import OptionParser
+from plp_lightning.plugins import find_in_working_folder
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.export import SUFFIXES, WRITERS, export
 from plp_lightning.runs.policies import checkpoint_of, load_policy
@@ -29,6 +30,7 @@ def run_export(arguments: Sequence[str]) -> None:
     parser.add_argument("--allow_imports", action="append", default=[], help="package of yours with the policy's class")
     options = parser.parse_args(list(arguments))
     run = RunDirectory.open(options.run)
+    find_in_working_folder(options.allow_imports)
     checkpoint = checkpoint_of(run, options.phase, options.which)
     policy = load_policy(checkpoint, allow_imports=options.allow_imports)
     domain, task = options.domain or policy.problem.target_domain, options.task or _target_task(run)

@@ -15,6 +15,7 @@ from datamodules.settings import build
 from plp_lightning.callbacks.checkpointing import read_checkpoint
 from plp_lightning.methods.policy import Policy
 from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe
+from plp_lightning.plugins import plugins
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.export import SUFFIXES, read_safetensors
 from plp_lightning.runs.specs import check_checkpoint
@@ -41,7 +42,7 @@ def load_policy(
     content = read_safetensors(file) if file.suffix == SUFFIXES["safetensors"] else read_checkpoint(file)
     problem = TransferProblem.from_dict(content["policy"]["problem"])
     # mypy allows no abstract class to stand for its subclasses: https://github.com/python/mypy/issues/4717
-    policy: Policy = build(_recipe(content["policy"], file), Policy, [PACKAGE, *allow_imports], problem)  # type: ignore[type-abstract]
+    policy: Policy = build(_recipe(content["policy"], file), Policy, [PACKAGE, *plugins(), *allow_imports], problem)  # type: ignore[type-abstract]
     _put_weights(policy, content, file)
     return policy.eval()
 

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
-from datamodules.settings import NonNegativeFloat, PositiveInt
+from datamodules.settings import Depth, NonNegativeFloat, PositiveInt
 from plp_lightning.methods.policy import Observations, Parts, Policy
 from plp_lightning.networks import ActionDecoder, DomainColumns, ImageEncoding, InputScaler, Sharing, split_by_domain
 from plp_lightning.networks.vision import encode_images, image_shape
@@ -36,7 +36,7 @@ class BCPolicy(Policy):
         self,
         problem: TransferProblem,
         hidden: PositiveInt = 192,
-        layers: PositiveInt = 10,
+        layers: Depth = 10,
         gradient_floor: NonNegativeFloat = 0.1,
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,

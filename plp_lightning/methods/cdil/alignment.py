@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from datamodules.settings import Configured, NonNegativeFloat, PositiveInt
+from datamodules.settings import Configured, Depth, NonNegativeFloat, PositiveInt
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import r1_penalty
 from plp_lightning.methods.cdil.losses import (
@@ -95,7 +95,7 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         policy: CdilPolicy,
         weights: CdilWeights = CdilWeights(),
         noise: NonNegativeFloat = 0.1,
-        discriminator_layers: PositiveInt = 3,
+        discriminator_layers: Depth = 3,
         discriminator_hidden: PositiveInt = 192,
         discriminator_lr: NonNegativeFloat | None = None,
         epochs: PositiveInt = 20,

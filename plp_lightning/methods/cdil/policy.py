@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
-from datamodules.settings import PositiveInt
+from datamodules.settings import Depth, PositiveInt
 from plp_lightning.methods.policy import Observations, Parts
 from plp_lightning.methods.translation import TranslatingPolicy
 from plp_lightning.networks import TaskNetwork, mlp
@@ -96,9 +96,9 @@ class CdilPolicy(TranslatingPolicy):
         problem: TransferProblem,
         latent: PositiveInt = 192,
         hidden: PositiveInt = 192,
-        encoder_layers: PositiveInt = 3,
-        policy_layers: PositiveInt = 3,
-        decoder_layers: PositiveInt = 3,
+        encoder_layers: Depth = 3,
+        policy_layers: Depth = 3,
+        decoder_layers: Depth = 3,
         scaling: dict[str, Scaling] | None = None,
         image_channels: tuple[PositiveInt, ...] = (32, 32, 16),
     ) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
-from datamodules.settings import Fraction, PositiveInt
+from datamodules.settings import Depth, Fraction, PositiveInt
 from datamodules.types import Actor, DomainSpec, Observation, PackedTrajectories
 from plp_lightning.methods.contextual.frames import FrameEmbedding, Packing, lay_out
 from plp_lightning.methods.contextual.prompts import Prompts
@@ -50,8 +50,8 @@ class ContextualPolicy(Policy):
         problem: TransferProblem,
         hidden: PositiveInt = 256,
         heads: PositiveInt = 8,
-        encoder_layers: PositiveInt = 3,
-        decoder_layers: PositiveInt = 3,
+        encoder_layers: Depth = 3,
+        decoder_layers: Depth = 3,
         feed_forward: PositiveInt = 1024,
         dropout: Fraction = 0.2,
         max_length: PositiveInt = 1200,

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from datamodules.settings import NonNegativeFloat, PositiveInt
+from datamodules.settings import Depth, NonNegativeFloat, PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import behavioural_cloning, r1_penalty
 from plp_lightning.methods.gama.losses import (
@@ -149,7 +149,7 @@ class GamaAlignment(GamaPhase):
         policy: GamaPolicy,
         adversarial_weight: NonNegativeFloat = 0.5,
         penalty_weight: NonNegativeFloat = 1.0,
-        discriminator_layers: PositiveInt = 2,
+        discriminator_layers: Depth = 2,
         discriminator_hidden: PositiveInt = 192,
         discriminator_lr: NonNegativeFloat = 1e-4,
         dynamics_lr: NonNegativeFloat = 1e-4,

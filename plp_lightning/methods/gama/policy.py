@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.problem import TransferProblem
-from datamodules.settings import PositiveInt
+from datamodules.settings import Depth, PositiveInt
 from plp_lightning.methods.policy import Observations, Parts
 from plp_lightning.methods.translation import TranslatingPolicy
 from plp_lightning.networks import ActionDecoder, StateEncoder, mlp
@@ -50,9 +50,9 @@ class GamaPolicy(TranslatingPolicy):
         self,
         problem: TransferProblem,
         hidden: PositiveInt = 192,
-        policy_layers: PositiveInt = 3,
-        map_layers: PositiveInt = 3,
-        dynamics_layers: PositiveInt = 3,
+        policy_layers: Depth = 3,
+        map_layers: Depth = 3,
+        dynamics_layers: Depth = 3,
         action_map_state: bool = False,
         scaling: dict[str, Scaling] | None = None,
         image_channels: tuple[PositiveInt, ...] = (32, 32, 16),

@@ -16,7 +16,7 @@ from torch import Tensor
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
-from datamodules.settings import NonNegativeFloat, PositiveInt
+from datamodules.settings import Depth, NonNegativeFloat, PositiveInt
 from datamodules.types import DomainSpec, Observation
 from plp_lightning.methods.policy import AligningPolicy, Observations, Parts
 from plp_lightning.networks import (
@@ -77,9 +77,9 @@ class PortablePolicy(AligningPolicy):
         problem: TransferProblem,
         latent: PositiveInt = 192,
         hidden: PositiveInt = 192,
-        encoder_layers: PositiveInt = 3,
-        policy_layers: PositiveInt = 4,
-        decoder_layers: PositiveInt = 3,
+        encoder_layers: Depth = 3,
+        policy_layers: Depth = 4,
+        decoder_layers: Depth = 3,
         gradient_floor: NonNegativeFloat = 0.1,
         encoder_state: EncoderState = "all",
         decoder_state: DecoderState = "none",

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
-from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from datamodules.settings import Configured, Depth, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import PackedTrajectories, Steps
 from plp_lightning.losses import reconstruction
 from plp_lightning.methods.plp.losses import (
@@ -152,7 +152,7 @@ class DomainAdversarial(AlignmentTerm):
         policy: PortablePolicy,
         weight: NonNegativeFloat = 0.1,
         penalty_weight: NonNegativeFloat = 1.0,
-        layers: PositiveInt = 4,
+        layers: Depth = 4,
         hidden: PositiveInt = 192,
     ) -> None:
         super().__init__(policy)
