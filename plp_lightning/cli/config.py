@@ -34,7 +34,8 @@ from plp_lightning.plugins import find_in_working_folder, plugins
 from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory
 from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
-BASE = Path(__file__).parents[1] / "configs" / "base.yaml"
+PAGES = Path(__file__).parents[1] / "configs"
+BASE = PAGES / "base.yaml"
 SPARE_TERMS = ("mmd", "tcc", "adversarial", "reconstruction")
 """Alignment terms that pages may set up for the methods that choose them."""
 
@@ -62,11 +63,17 @@ def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     found = resolve(arguments, allowed)
     parser = build_parser(found.tree["phases"])
     config = _parsed(parser, ["--config", dump_yaml(found.tree), *found.flags])
-    files = map(Path, option_values(arguments, "config"))
+    files = map(find_page, option_values(arguments, "config"))
     named = (file.stem for file in files if file.parent.name != "methods")
     if config.experiment is None:
         config.experiment = next(named, "unnamed")
     return build(parser, config, found.dropped), found.changes
+
+
+def find_page(name: str) -> Path:
+    """The file of that name; or, if there is none, the page that this package brings: ``r2r``, ``methods/plp_t``."""
+    ours = PAGES / f"{name}.yaml"
+    return ours if not Path(name).exists() and ours.is_relative_to(PAGES) and ours.is_file() else Path(name)
 
 
 def _parsed(parser: ArgumentParser, words: list[str]) -> Namespace:
@@ -128,7 +135,7 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> Resolved:
 
 
 def _contents(arguments: Sequence[str]) -> dict[Path, Tree]:
-    return {path: read_yaml(path) for path in [BASE, *map(Path, option_values(arguments, "config"))]}
+    return {path: read_yaml(path) for path in [BASE, *map(find_page, option_values(arguments, "config"))]}
 
 
 def _notice(place: str, changes: Sequence[str]) -> list[str]:

@@ -41,7 +41,7 @@ def _findings() -> dict[str, Any]:
     packages = _tried(versions)
     renderers = {backend: _speed(backend) for backend in get_args(Backend)}
     lacking = [name for name in PACKAGES if name not in packages]
-    advice = [f"{', '.join(lacking)}: not installed; run pip install -e ."] if lacking else []
+    advice = [f"{', '.join(lacking)}: not installed; run pip install -e '.[sim]'"] if lacking else []
     if not any("frames_per_second" in found for found in renderers.values()):
         advice += [found["error"] for found in renderers.values()]
     graphics = _tried(gpus)

@@ -6,7 +6,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,8 @@ class Simulator(Configured, ABC):
 
     horizon: int = 200
     """Control steps after which an unsolved episode counts as failed."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Modules that it imports at its first reset, and that the core of this project goes without."""
     threads: int = 0
     """Threads that step physics; 0 means one for each core. May be set until the first reset."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from importlib.util import find_spec
 
 from datamodules.errors import ConfigError, UserError
 from plp_lightning.runs.experiment import Experiment
@@ -15,6 +16,7 @@ def check_method(experiment: Experiment) -> None:
     Raises:
         ConfigError: If one can't be built, or a score asks simulators that are not there.
     """
+    _check_packages(experiment)
     _check_scores(experiment)
     try:
         _build_all(experiment)
@@ -22,6 +24,13 @@ def check_method(experiment: Experiment) -> None:
         raise
     except Exception as error:  # each class has errors of its own for settings that cannot be
         raise ConfigError(f"a setting is impossible: {type(error).__name__}: {error}; change it") from None
+
+
+def _check_packages(experiment: Experiment) -> None:
+    for name, simulator in experiment.simulators.items():
+        if lacking := [module for module in simulator.needs if find_spec(module) is None]:
+            told = f"domain {name!r}: {type(simulator).__name__} needs {lacking[0]}, which is not installed"
+            raise ConfigError(f"{told}; install the simulators with: pip install 'plp-lightning[sim]'")
 
 
 def _check_scores(experiment: Experiment) -> None:

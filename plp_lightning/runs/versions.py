@@ -11,7 +11,8 @@ from pathlib import Path
 
 OURS = "plp-lightning"
 FOUNDATIONS = ("torch", "lightning", "torchmetrics", "numpy", "h5py")
-PACKAGES = (OURS, *FOUNDATIONS, "mujoco", "robosuite", "metaworld", "gymnasium-robotics")
+SIMULATORS = ("mujoco", "robosuite", "metaworld", "gymnasium-robotics", "numba")  # The extra `sim`
+PACKAGES = (OURS, *FOUNDATIONS, *SIMULATORS)
 
 
 def versions() -> dict[str, str]:

@@ -63,7 +63,7 @@ def test_advice_names_what_to_install(monkeypatch: pytest.MonkeyPatch, capsys: p
     machine(monkeypatch, {}, {name: "1.0" for name in ALL if name not in ("metaworld", "mujoco")})
     run_doctor([])
     lines = capsys.readouterr().out.splitlines()
-    assert "mujoco, metaworld: not installed; run pip install -e ." in lines
+    assert "mujoco, metaworld: not installed; run pip install -e '.[sim]'" in lines
     assert any(line.endswith("apt-get install libegl1 libgl1-mesa-dri") for line in lines)
     assert any(line.endswith("apt-get install libosmesa6") for line in lines)
 

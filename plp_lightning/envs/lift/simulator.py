@@ -41,6 +41,8 @@ class Lift(Simulator):
         ConfigError: If there is no such robot.
     """
 
+    needs = ("mujoco", "numba", "robosuite")
+
     tasks = TASKS
 
     def __init__(

@@ -30,6 +30,8 @@ FrameName = Literal["d4rl", "gymnasium"]
 class Maze(Simulator):
     """A body in a maze whose tasks are pairs of a start zone and a goal cell; goals are never observed."""
 
+    needs = ("mujoco", "gymnasium_robotics")
+
     scale: ClassVar[float]  # side of a cell, m
     frame_skip: ClassVar[int]  # physics steps of 10 ms in one control step
     horizons: ClassVar[dict[str, int]]  # default horizon of each layout

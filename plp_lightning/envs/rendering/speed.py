@@ -39,7 +39,7 @@ def _measured(backend: Backend, seconds: float) -> float | str:
     try:
         return _draw(backend, seconds)
     except ModuleNotFoundError as error:
-        return f"images cannot be drawn: {error}; install what is missing: pip install -e ."
+        return f"images cannot be drawn: {error}; install what is missing: pip install -e '.[sim]'"
     except Exception as error:  # MuJoCo and PyOpenGL raise what they like where a library is missing
         return f"{missing(backend)} ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
 

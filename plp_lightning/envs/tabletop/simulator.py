@@ -61,6 +61,8 @@ class Tabletop(Simulator):
         ConfigError: If there is no such view, or no image of that size.
     """
 
+    needs = ("mujoco", "metaworld")
+
     def __init__(
         self, view: View, image_size: int = 64, horizon: PositiveInt = 150, threads: NonNegativeInt = 0
     ) -> None:
