@@ -36,6 +36,7 @@ from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 PAGES = Path(__file__).parents[1] / "configs"
 BASE = PAGES / "base.yaml"
+LISTS = ("--score", "--callbacks")  # Flags that hold lists of classes
 SPARE_TERMS = ("mmd", "tcc", "adversarial", "reconstruction")
 """Alignment terms that pages may set up for the methods that choose them."""
 
@@ -153,8 +154,13 @@ def _flags(arguments: Sequence[str], tree: Tree) -> tuple[list[str], list[str]]:
             key, joint, value = word.partition("=")
             new = f"--{rename_flag(key[2:], tree)}" if key.startswith("--") else key
             changes += [] if new == key else [f"{key} is {new}"]
-            kept.append(new + joint + value)
+            kept += [new, _listed(value if joint else next(words, ""))] if key in LISTS else [new + joint + value]
     return kept, changes
+
+
+def _listed(value: str) -> str:
+    """One class is a list of one."""
+    return f"[{value}]" if re.fullmatch(r"(?!null$)[^\W\d][\w.]*", value) else value
 
 
 def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, list[str]]:

@@ -39,3 +39,10 @@ def test_simulators_that_are_not_installed_are_told(
     told = complaint("fit", "--config", page, "--run_root", tmp_path / "runs", "--data.root", tmp_path / "data")
     assert f"needs {lacking}, which is not installed; install the simulators with: pip install" in told
     assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("flag", [["--score", "NeighbourhoodScore"], ["--score=NeighbourhoodScore"]])
+def test_one_class_is_a_list_of_one(flag: list[str]) -> None:
+    told = yaml.safe_load(plp("fit", "--config", "smoke", *flag, "--print_config").out)
+    assert [score["class_path"].rsplit(".")[-1] for score in told["score"]] == ["NeighbourhoodScore"]
+    assert yaml.safe_load(plp("fit", "--config", "smoke", "--score", "null", "--print_config").out)["score"] == []
