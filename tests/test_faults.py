@@ -203,7 +203,7 @@ def test_damaged_checkpoints_are_named(interrupted: RunDirectory) -> None:
     assert "has no 'policy' and 'state_dict'" in complaint("fit", "--resume", interrupted.path)
     torch.save({**content, "state_dict": {}}, file)
     assert "is not what phase alignment left" in complaint("fit", "--resume", interrupted.path)
-    assert "is of another policy (" in complaint("test", interrupted.path)
+    assert "is of another policy (" in complaint("test", "--config", interrupted.config, "--checkpoint", file)
     interrupted.update_status("running", "alignment", {"state": "running"})
     torch.save({"policy": {}, "state_dict": {}}, file)
     assert "holds weights alone" in complaint("fit", "--resume", interrupted.path)

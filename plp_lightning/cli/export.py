@@ -11,7 +11,7 @@ from plp_lightning.cli.options import OptionParser
 from plp_lightning.plugins import find_in_working_folder
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.export import SUFFIXES, WRITERS, export
-from plp_lightning.runs.policies import checkpoint_of, load_policy
+from plp_lightning.runs.policies import check_own, checkpoint_of, load_policy
 from plp_lightning.runs.records import file_hash
 from plp_lightning.runs.robot_policy import RobotPolicy
 from plp_lightning.runs.versions import commit, versions
@@ -32,6 +32,7 @@ def run_export(arguments: Sequence[str]) -> None:
     run = RunDirectory.open(options.run)
     find_in_working_folder(options.allow_imports)
     checkpoint = checkpoint_of(run, options.phase, options.which)
+    check_own(run, checkpoint)
     policy = load_policy(checkpoint, allow_imports=options.allow_imports)
     domain, task = options.domain or policy.problem.target_domain, options.task or _target_task(run)
     path = options.out or run.path / f"policy{SUFFIXES[options.to]}"

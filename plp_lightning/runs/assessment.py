@@ -20,7 +20,7 @@ from plp_lightning.runs.demonstrations import check_fingerprint
 from plp_lightning.runs.devices import device_name, resolved_device
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
-from plp_lightning.runs.policies import load_policy_weights
+from plp_lightning.runs.policies import check_own, load_policy_weights
 from plp_lightning.runs.specs import check_checkpoint
 
 
@@ -40,6 +40,8 @@ class Assessment:
         The checkpoint brings the scaling of states: no demonstrations are needed to act.
         """
         torch.set_num_threads(self.experiment.threads)
+        if self.run is not None:
+            check_own(self.run, self.checkpoint)
         check_checkpoint(self.checkpoint, self.experiment.unscaled_problem)
         policy = self.experiment.method.policy(self.experiment.unscaled_problem)
         load_policy_weights(policy, self.checkpoint)

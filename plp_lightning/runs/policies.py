@@ -12,7 +12,7 @@ import yaml
 from datamodules.errors import CheckpointError, ConfigError
 from datamodules.problem import TransferProblem
 from datamodules.settings import build
-from plp_lightning.callbacks.checkpointing import read_checkpoint
+from plp_lightning.callbacks.checkpointing import check_owner, read_checkpoint
 from plp_lightning.methods.policy import Policy
 from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe
 from plp_lightning.plugins import plugins
@@ -38,13 +38,30 @@ def load_policy(
         ConfigError: If there is no such run or phase, or the policy's class may not be imported.
         CheckpointError: If the checkpoint is damaged or would run code.
     """
-    file = Path(path) if Path(path).is_file() else checkpoint_of(RunDirectory.open(Path(path)), phase, which)
+    file = Path(path)
+    if not file.is_file():
+        run = RunDirectory.open(file)
+        file = checkpoint_of(run, phase, which)
+        check_own(run, file)
     content = read_safetensors(file) if file.suffix == SUFFIXES["safetensors"] else read_checkpoint(file)
     problem = TransferProblem.from_dict(content["policy"]["problem"])
     # mypy allows no abstract class to stand for its subclasses: https://github.com/python/mypy/issues/4717
     policy: Policy = build(_recipe(content["policy"], file), Policy, [PACKAGE, *plugins(), *allow_imports], problem)  # type: ignore[type-abstract]
     _put_weights(policy, content, file)
     return policy.eval()
+
+
+def check_own(run: RunDirectory, checkpoint: Path) -> None:
+    """Make sure that a checkpoint in a run's folder is the run's own, and what its phase left when it was done.
+
+    Raises:
+        CheckpointError: If it is damaged, of another run or phase, or was exchanged since.
+        ConfigError: If the record of the phase has changed.
+    """
+    phase = checkpoint.parents[1].name
+    check_owner(read_checkpoint(checkpoint), checkpoint, run.identity, phase)
+    if checkpoint == run.checkpoint(phase) and phase in run.done_phases():
+        run.check_done(phase)
 
 
 def load_policy_weights(policy: Policy, checkpoint: Path) -> None:

@@ -9,8 +9,10 @@ import pytest
 import yaml
 from command import checkpoint, complaint, plp, same, smoke_run, tiny_smoke
 
+from datamodules.errors import CheckpointError
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, read_checkpoint
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.policies import load_policy
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +106,20 @@ def test_links_out_of_a_run_are_not_followed(name: str, interrupted: RunDirector
         shutil.move(inside, outside)
     inside.symlink_to(outside)
     assert f"{name}: is a link" in complaint("fit", "--resume", interrupted.path)
+
+
+@pytest.mark.parametrize("verb", ["test", "validate", "predict", "export"])
+@pytest.mark.parametrize("which", ["last", "best"])
+def test_nobody_looks_at_another_runs_policy(
+    verb: str, which: str, interrupted: RunDirectory, others: dict[str, RunDirectory]
+) -> None:
+    shutil.copy(others["seed"].checkpoint("adaptation", which), interrupted.checkpoint("adaptation", which))
+    assert f"{which}.ckpt: is of another run (" in complaint(verb, interrupted.path, "--which", which)
+
+
+def test_nor_at_one_that_was_exchanged_later(interrupted: RunDirectory) -> None:
+    file = interrupted.checkpoint("alignment")
+    AtomicCheckpointIO().save_checkpoint(read_checkpoint(file) | {"global_step": 3}, file)
+    assert "is not what phase alignment left" in complaint("test", interrupted.path, "--phase", "alignment")
+    with pytest.raises(CheckpointError, match="is not what phase alignment left"):
+        load_policy(interrupted.path, "alignment")
