@@ -164,7 +164,7 @@ def test_episodes_longer_than_its_memory_are_an_error(data: TransferDataModule) 
         ({"heads": 0}, r"heads is 0; expected a whole number, at least 1"),
         (
             {"decoder_layers": 0},
-            r"decoder_layers is 0; expected a whole number, at least 1",
+            r"decoder_layers is 0; expected a whole number from 1 to 1000",
         ),
     ],
 )

@@ -142,7 +142,7 @@ def test_without_terms_nothing_is_aligned(data: TransferDataModule) -> None:
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda policy: DomainAdversarial(policy, layers=0), r"DomainAdversarial\.layers is 0; .*at least 1"),
+        (lambda policy: DomainAdversarial(policy, layers=0), r"DomainAdversarial\.layers is 0; .*from 1 to 1000"),
         (lambda policy: DomainAdversarial(policy, hidden=0), r"DomainAdversarial\.hidden is 0; .*at least 1"),
         (lambda policy: TCC(policy, weight=float("nan")), r"TCC\.weight is nan; expected a number, at least 0"),
         (lambda policy: MMD(policy, bandwidths=()), r"MMD\.bandwidths is empty"),
