@@ -59,7 +59,8 @@ class Assessment:
         if self.run is None:
             data.prepare_data()
         elif data.missing():
-            remedy = "restore the file, or set PLP_DATA to the folder that it is in"
+            way = f"--config {self.run.config} --checkpoint {self.checkpoint} --data.file FILE"
+            remedy = f"restore the file, or name its place with {way} instead of the run"
             raise MissingTrajectoriesError(f"{data.path}: does not hold the run's demonstrations; {remedy}")
         else:
             check_fingerprint(data, self.run)

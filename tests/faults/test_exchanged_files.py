@@ -123,3 +123,18 @@ def test_nor_at_one_that_was_exchanged_later(interrupted: RunDirectory) -> None:
     assert "is not what phase alignment left" in complaint("test", interrupted.path, "--phase", "alignment")
     with pytest.raises(CheckpointError, match="is not what phase alignment left"):
         load_policy(interrupted.path, "alignment")
+
+
+def test_a_run_whose_demonstrations_have_moved_is_looked_at_as_its_remedy_says(
+    interrupted: RunDirectory, tmp_path: Path
+) -> None:
+    config, moved = yaml.safe_load(interrupted.config.read_text()), tmp_path / "moved.hdf5"
+    here = Path(config["data"]["root"]) / "smoke.hdf5"
+    shutil.copy(here, moved)
+    hidden = here.rename(here.with_suffix(".away"))
+    try:
+        told = complaint("validate", interrupted.path)
+        way = told.rpartition(" with ")[2].partition(" instead")[0].replace("FILE", str(moved)).split()
+        assert plp("validate", *way).code == 0
+    finally:
+        hidden.rename(here)
