@@ -54,7 +54,7 @@ class Run(NamedTuple):
         return self.folder / "data" / "smoke.hdf5"
 
     def command(self) -> list[str]:
-        """What begins the run, or goes on with it."""
+        """Words that begin the run, or go on with it."""
         if self.directory.config.exists():
             return ["fit", "--resume", str(self.directory.path)]
         places = ["--run_root", str(self.folder / "runs"), "--data.root", str(self.data.parent)]

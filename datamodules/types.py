@@ -97,7 +97,7 @@ class DomainSpec:
 
     @property
     def action_limits(self) -> Limits:
-        """What -1 and 1 stand for in the owner's units, ``(A,)`` each."""
+        """Values of -1 and 1 in the owner's units, ``(A,)`` each."""
         return self.action_low or (-1.0,) * self.action_size, self.action_high or (1.0,) * self.action_size
 
     def owner_actions(self, actions: np.ndarray) -> np.ndarray:
@@ -217,7 +217,7 @@ class Collector(Protocol):
         """Add ``missing[domain][task]`` successful demonstrations to the file at ``path``, atomically."""
 
     def makes(self, domain: str) -> bool:
-        """Whether it can make demonstrations of a domain."""
+        """Tell whether it can make demonstrations of a domain."""
 
     def check(self, path: Path) -> None:
         """Refuse, by a :class:`UserError`, a file whose demonstrations this collector would have made otherwise."""

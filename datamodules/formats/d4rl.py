@@ -149,13 +149,13 @@ class _D4RLSource(Source):
             yield SourceEpisode(f"episode {number}", self.path, values, actions[start:stop], task, success=solved)
 
     def _following(self, keys: Sequence[str]) -> np.ndarray | None:
-        """What was seen after each step, if it is known of all keys, ``(N, o)``."""
+        """Observations after each step, if it is known of all keys, ``(N, o)``."""
         if "next_observations" not in self.file or [*keys] != ["observations"]:
             return None
         return find_numbers(self.file, "next_observations", self.path, (self.steps, *self.keys["observations"].shape))
 
     def _success(self) -> np.ndarray | None:
-        """Whether each step is one of success ``(N,)``; None if nobody says."""
+        """Marks of steps of success ``(N,)``; None if nobody says."""
         if self.terminal_success or SUCCESS in self.file:
             return self._flag("terminals" if self.terminal_success else SUCCESS)
         return None

@@ -1,4 +1,4 @@
-"""What all exporters share: a domain's demonstrations, and files and folders that are complete or absent."""
+"""Common parts of all exporters: a domain's demonstrations, and files and folders that are complete or absent."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def encode_png(image: np.ndarray) -> bytes:
 
 
 def image_shape(shape: tuple[int, ...]) -> bool:
-    """Whether ``shape`` is that of an image ``(H, W, C)`` of 1, 3 or 4 channels that is not too large."""
+    """Tell whether ``shape`` is that of an image ``(H, W, C)`` of 1, 3 or 4 channels that is not too large."""
     return len(shape) == 3 and shape[2] in (1, 3, 4) and 0 < shape[0] * shape[1] <= MAX_PIXELS
 
 

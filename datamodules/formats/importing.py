@@ -24,7 +24,7 @@ from datamodules.types import DomainSpec, Observation, Trajectory
 
 @dataclass(frozen=True)
 class Imported:
-    """What came of an import."""
+    """Outcome of an import."""
 
     spec: DomainSpec
     demonstrations: int
@@ -102,7 +102,7 @@ def _outcome(
 
 
 def _told(done: Imported) -> dict[str, Any]:
-    """What provenance says of an import."""
+    """Provenance of an import."""
     told = {"imported": done.demonstrations, "dropped": dict(done.dropped), "warnings": [*done.warnings]}
     return {**told, "action_limits": done.limits}
 

@@ -17,7 +17,7 @@ ROUNDING = 1e-6  # Farther beyond ±1 than float32 rounds
 
 
 class ToldLimits(NamedTuple):
-    """What -1 and 1 stand for in the owner's units, ``(A,)`` each or None, and who says so."""
+    """Values of -1 and 1 in the owner's units, ``(A,)`` each or None, and who says so."""
 
     low: tuple[float, ...] | None
     high: tuple[float, ...] | None

@@ -1,4 +1,4 @@
-"""What becomes of another project's demonstrations: which keys, under which names, of which task and size."""
+"""Ways of another project's demonstrations into ours: which keys, under which names, of which task and size."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from datamodules.types import ObservationKey
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """How demonstrations of other projects become ours.
+    """Options by which demonstrations of other projects become ours.
 
     Args:
         domain: Name of the domain that they are of.

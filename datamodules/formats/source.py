@@ -1,4 +1,4 @@
-"""What every format of other projects looks like from here: demonstrations under names, in their owner's units."""
+"""Formats of other projects as they look from here: demonstrations under names, in their owner's units."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SourceKey:
 
 @dataclass(frozen=True)
 class SourceDescription:
-    """What a source says of all its demonstrations before one of them is read."""
+    """Facts that a source tells of all its demonstrations before one of them is read."""
 
     place: Path  # The file or folder that it was opened by
     files: Sequence[Path]  # All files that belong to it, for the record

@@ -242,7 +242,7 @@ def _check_package(name: str) -> None:
 
 
 def _value(text: str) -> Any:
-    """What a word of the command line says; ``{a, b}`` and ``a:`` are words."""
+    """Value of a word of the command line; ``{a, b}`` and ``a:`` are words."""
     value = parse_yaml(text)
     if isinstance(value, dict) and value and "\n" not in text and all(x is None for x in value.values()):
         return text

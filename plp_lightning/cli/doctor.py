@@ -67,7 +67,7 @@ def _speed(backend: Backend) -> dict[str, Any]:
 
 
 def _tried(probe: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """What a probe finds, or what it raises."""
+    """Findings of a probe, or the error that it raises."""
     try:
         return probe()
     except UserError as error:

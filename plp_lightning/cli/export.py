@@ -47,7 +47,7 @@ def _target_task(run: RunDirectory) -> str:
 
 
 def _provenance(run: RunDirectory, checkpoint: Path) -> dict[str, Any]:
-    """Where the policy comes from, and how it did there."""
+    """Origin of the policy, and its success there."""
     known = run.read_results() if run.results.exists() else {}
     told = {name: known[name] for name in ("experiment", "method", "target_task", "seed") if name in known}
     success = {name: known[name]["success"] for name in ("target", "source", "proxy") if name in known}

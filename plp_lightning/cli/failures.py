@@ -1,4 +1,4 @@
-"""Why a verb failed, in a line for the user, where the program is not to blame."""
+"""Reasons why a verb failed, in a line for the user, where the program is not to blame."""
 
 from __future__ import annotations
 

@@ -69,12 +69,12 @@ def _parameters(kind: Callable[..., Any], beside: Collection[str]) -> list[str]:
 
 
 def _signed(kind: Callable[..., Any]) -> Any:
-    """What holds the annotations of a constructor's arguments, or of a function's."""
+    """The object that holds the annotations of a constructor's arguments, or of a function's."""
     return kind.__init__ if isinstance(kind, type) and not is_dataclass(kind) else kind  # type: ignore[misc]
 
 
 def _reader(hint: Any) -> dict[str, Any]:
-    """How argparse reads a value of a type."""
+    """Function by which argparse reads a value of a type."""
     if get_origin(hint) in (Union, UnionType):
         hint = next(part for part in get_args(hint) if part is not type(None))
     if hint is bool:

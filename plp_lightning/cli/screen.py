@@ -50,6 +50,6 @@ def _steady(stream: TextIO | None, descriptor: int) -> TextIO:
 
 
 def loss() -> str | None:
-    """Why output could not be written; None if it was, or if its reader had seen enough."""
+    """Reason why output could not be written; None if it was, or if its reader had seen enough."""
     sys.stdout.flush()
     return next((str(error.strerror) for error in lost if error.errno != errno.EPIPE), None)

@@ -86,7 +86,7 @@ def check_step(simulator: object, found: Step, spec: DomainSpec, count: int) -> 
 
 
 def unseen(spec: DomainSpec, count: int) -> Observation[np.ndarray]:
-    """What is seen of episodes that could not begin: states ``(E, O)`` that are no numbers, black images."""
+    """Observations of episodes that could not begin: states ``(E, O)`` that are no numbers, black images."""
     image = None if spec.image_key is None else np.zeros((count, *spec.image_key.shape), np.uint8)
     return Observation(np.full((count, spec.state_size), np.nan, np.float32), image)
 

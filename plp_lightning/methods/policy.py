@@ -66,7 +66,7 @@ class Policy(Configured, nn.Module, ABC):
         Raises:
             UserError: If the policy knows no such domain or task, or the domain shows arrays of another shape.
         """
-        _check_known("domain", [domain], self.acts_in)
+        check_known("domain", [domain], self.acts_in)
         spec, lead = self.domains[domain], None
         if not isinstance(observation, Observation):
             observation, lead = gather(spec, observation)
@@ -92,12 +92,12 @@ class Policy(Configured, nn.Module, ABC):
         return act
 
     def _task_ids(self, names: Sequence[str]) -> Tensor:
-        _check_known("task", names, self.tasks)
+        check_known("task", names, self.tasks)
         return torch.tensor([self.tasks[name] for name in names], device=next(self.parameters()).device)
 
     @torch.inference_mode()
     def _act(self, observation: Observation[np.ndarray], domain: str, ids: Tensor) -> np.ndarray:
-        _check_known("domain", [domain], self.acts_in)
+        check_known("domain", [domain], self.acts_in)
         if observation.state.shape[1:] != (size := self.domains[domain].state_size,):
             found = f"states of shape {observation.state.shape} in domain {domain!r}"
             raise ConfigError(f"found {found}; expected (n, {size}): act on what the policy was trained on")
@@ -113,7 +113,8 @@ class AligningPolicy(Policy):
         """States ``(B_d, Z)`` of that space, by domain."""
 
 
-def _check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:
+def check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Refuse, by a :class:`ConfigError`, the first of ``names`` that is not ``known``."""
     for name in names:
         if name not in known:
             raise ConfigError(f"found {what} {name!r}; expected one of: {', '.join(known)}")

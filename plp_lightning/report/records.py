@@ -79,7 +79,7 @@ def _results(path: Path) -> dict[Path, Any]:
         raise ConfigError(f"{path}: no such file or folder; expected run directories, such as runs")
     if path.is_file():
         return {path: _read(path)}
-    contents = {file: _read(file) for file in path.rglob("*.json") if file.name == RESULTS or _is_json(file)}
+    contents = {file: _read(file) if file.name == RESULTS else _read_other(file) for file in path.rglob("*.json")}
     keys = {"experiment", "method", "target_task", "target"}
     results = {file: content for file, content in contents.items() if isinstance(content, dict) and keys <= {*content}}
     if not results:
@@ -87,13 +87,12 @@ def _results(path: Path) -> dict[Path, Any]:
     return results
 
 
-def _is_json(file: Path) -> bool:
-    """Whether a file may be results under another name; whatever else lies beside runs is none of ours."""
+def _read_other(file: Path) -> Any:
+    """Content of a file that may be results under another name; None of what lies beside runs and is no JSON."""
     try:
-        _read(file)
+        return _read(file)
     except (ConfigError, OSError):
-        return False
-    return True
+        return None
 
 
 def _read(file: Path) -> Any:

@@ -99,7 +99,7 @@ class ExpertCollector:
             domain.expert.check(domain.world)
 
     def makes(self, domain: str) -> bool:
-        """Whether the domain has an expert."""
+        """Tell whether the domain has an expert."""
         return self.domains[domain].expert is not None
 
     def check(self, path: Path) -> None:

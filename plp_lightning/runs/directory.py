@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from filelock import FileLock, Timeout
 
 from datamodules.errors import CheckpointError, ConfigError
 from datamodules.store.atomic import write_atomically
-from plp_lightning.runs.records import DONE, REMEDY, RESULTS, STATUS, check, file_hash, record_hash
+from plp_lightning.runs.records import DONE, REMEDY, RESULTS, STATUS, bytes_hash, check, file_hash, record_hash
 from plp_lightning.stopping import PreemptedError
 
 
@@ -42,7 +41,7 @@ class RunDirectory:
             raise ConfigError(f"{path}: holds a run already (state: {state}); {remedy}")
         path.mkdir(parents=True, exist_ok=True)
         run.write_json("environment.json", environment)
-        begun = {"config_sha256": hashlib.sha256(config.encode()).hexdigest(), "wanted": None, "origin": None}
+        begun = {"config_sha256": bytes_hash(config.encode()), "wanted": None, "origin": None}
         begun |= plan or {}
         run.write_json("status.json", {"state": "new", **begun, "plan_sha256": record_hash(begun), "phases": {}})
         write_atomically(run.config, config)

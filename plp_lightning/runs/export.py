@@ -49,7 +49,7 @@ def export(robot: RobotPolicy, kind: str, path: Path, provenance: Mapping[str, A
 
 
 def card(robot: RobotPolicy, provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """What a program has to know to let the policy act: inputs, output, units, limits, rate."""
+    """Facts that a program has to know to let the policy act: inputs, output, units, limits, rate."""
     spec, (low, high) = robot.spec, robot.spec.action_limits
     types = {"state": "float32", "image": "uint8"}
     inputs = [{"name": k.name, "shape": ["B", *k.shape], "dtype": types[k.kind], "unit": k.unit} for k in robot.inputs]

@@ -92,7 +92,7 @@ def _visible() -> str:
 
 
 def _answer(command: list[str]) -> tuple[str, str]:
-    """What a command prints, and the last thing it complains of if it fails."""
+    """Output of a command, and the last thing it complains of if it fails."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=LIMIT, check=False)
     except OSError as error:

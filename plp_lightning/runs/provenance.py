@@ -1,4 +1,4 @@
-"""What a file tells of the experts who made its demonstrations, and where another expert differs from it."""
+"""Experts who made a file's demonstrations, as it tells of them, and where another expert differs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``status.json`` and ``results.json`` of a run hold: checked when they are read, and known by their hashes."""
+"""Content of a run's ``status.json`` and ``results.json``: checked when they are read, and known by their hashes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run is going to build, built once before it begins, so that wrong settings show while nothing is written."""
+"""All that a run is going to build, built once before it begins: wrong settings show while nothing is written."""
 
 from __future__ import annotations
 

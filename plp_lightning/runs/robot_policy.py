@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
 from datamodules.types import DomainSpec, Observation, ObservationKey
-from plp_lightning.methods.policy import Policy
+from plp_lightning.methods.policy import Policy, check_known
 
 
 class RobotPolicy(nn.Module):
@@ -29,9 +29,8 @@ class RobotPolicy(nn.Module):
 
     def __init__(self, policy: Policy, domain: str, task: str) -> None:
         super().__init__()
-        for what, name, known in (("domain", domain, policy.acts_in), ("task", task, tuple(policy.tasks))):
-            if name not in known:
-                raise ConfigError(f"found {what} {name!r}; expected one of: {', '.join(known)}")
+        check_known("domain", [domain], policy.acts_in)
+        check_known("task", [task], policy.tasks)
         if type(policy).actor is not Policy.actor:
             found = f"{type(policy).__name__} remembers its episode"
             raise ConfigError(f"{found}; expected a policy that acts on what it sees: use plp.load_policy in Python")

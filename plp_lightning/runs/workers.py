@@ -156,7 +156,7 @@ def _pickled(work: Callable[[J], Iterator[R]]) -> bytes:
 
 @contextlib.contextmanager
 def _blocked_signals() -> Iterator[None]:
-    """What is started in the block never hears these signals, from its first instruction on."""
+    """Processes that are started in the block never hear these signals, from its first instruction on."""
     resource_tracker.ensure_running()  # with the first process it would start too, and lift the block when it has
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
