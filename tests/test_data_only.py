@@ -139,5 +139,6 @@ def test_a_run_is_resumed_looked_at_and_leaves(uneven: Path, tmp_path: Path) -> 
     assert "acts in no domain that has a simulator" in complaint("test", run.path)
     for verb in ("validate", "predict"):
         assert plp(verb, run.path).code == 0
+    assert "| own | plp | 1 | not simulated |" in plp("report", run.path).out
     state = np.zeros((3, 5), np.float32)
     assert plp_lightning.load_policy(run.path).act(Observation(state), "tall", "goal_3").shape == (3, 2)

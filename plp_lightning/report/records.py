@@ -42,9 +42,9 @@ class Record:
     """One run's outcome on its target task; success rates are between 0 and 1."""
 
     run: RunKey
-    success: float  # in the target domain, at the end
-    low: float  # lower end of its 95 % interval
-    high: float  # upper end of it
+    success: float | None  # in the target domain, at the end; None where that has no simulator
+    low: float | None  # lower end of its 95 % interval
+    high: float | None  # upper end of it
     before: float | None  # in the target domain before adaptation; None where what acts was not trained before
     source: float | None  # in the source domain, at the end
     proxy: float | None  # on proxy tasks in the target domain, at the end
@@ -52,6 +52,7 @@ class Record:
     seconds: float  # all phases together, without collecting
     settings: Mapping[str, Any] | None = None  # that differ from the defaults, by dotted key; None if never recorded
     behaviour: Mapping[str, float] = field(default_factory=dict)  # further measures of the target task's episodes
+    held_out: Mapping[str, float] = field(default_factory=dict)  # error of held-out actions, by domain
 
 
 def read_records(paths: Sequence[Path]) -> list[Record]:
@@ -80,7 +81,7 @@ def _results(path: Path) -> dict[Path, Any]:
     if path.is_file():
         return {path: _read(path)}
     contents = {file: _read(file) if file.name == RESULTS else _read_other(file) for file in path.rglob("*.json")}
-    keys = {"experiment", "method", "target_task", "target"}
+    keys = {"experiment", "method", "target_task", "alignment"}
     results = {file: content for file, content in contents.items() if isinstance(content, dict) and keys <= {*content}}
     if not results:
         raise ConfigError(f"{path}: found no results.json below it; expected directories of finished runs")
@@ -113,19 +114,22 @@ def _check_hash(file: Path) -> None:
 
 def _record(file: Path, content: Any) -> Record:
     try:
-        target = content["target"]
+        target = content.get("target")
+        errors = content["held_out"] if target is None else content.get("held_out", {})  # older results lack them
+        success, low, high = (None,) * 3 if target is None else map(float, (target["success"], *target["interval"]))
         return Record(
             run=_key(content),
-            success=float(target["success"]),
-            low=float(target["interval"][0]),
-            high=float(target["interval"][1]),
-            before=_before(content),
+            success=success,
+            low=low,
+            high=high,
+            before=None if target is None else _before(content),
             source=float(content["source"]["success"]) if "source" in content else None,
             proxy=float(content["proxy"]["success"]) if "proxy" in content else None,
             alignment={str(name): float(value) for name, value in content["alignment"].items()},
             seconds=sum(float(value) for name, value in content["seconds"].items() if name != "collection"),
             settings=None if content.get("settings") is None else dict(content["settings"]),
-            behaviour={name: float(v) for name, v in target.items() if name not in COUNTED and v is not None},
+            behaviour={name: float(v) for name, v in (target or {}).items() if name not in COUNTED and v is not None},
+            held_out={str(domain): float(error) for domain, error in errors.items()},
         )
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         reason = f"{type(error).__name__}: {error}"

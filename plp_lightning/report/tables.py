@@ -18,7 +18,8 @@ from plp_lightning.report.records import Record, RunKey
 
 Paper = Mapping[str, Mapping[str, tuple[float, float]]]  # Mean and standard deviation by experiment and method
 COLUMNS = [field.name for field in fields(Record)]
-MEASURES = ("alignment", "behaviour")  # Fields whose every entry is a column
+MEASURES = ("alignment", "behaviour", "held_out")  # Fields whose every entry is a column
+NOT_SIMULATED = "not simulated"  # Where a rate would stand, of domains that are known by demonstrations alone
 MARK = "†"
 
 
@@ -55,13 +56,17 @@ def comma_separated(records: Sequence[Record]) -> str:
     plain = [name for name in COLUMNS if name not in ("run", *MEASURES, "settings")]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*RunKey._fields, *plain, *(name for _, name in measures), "settings"])
+    writer.writerow([*RunKey._fields, *plain, *(_column(*measure) for measure in measures), "settings"])
     for record in sorted(records, key=_rank):
         cells = [*record.run, *(getattr(record, name) for name in plain)]
         cells += [getattr(record, field).get(name) for field, name in measures]
         settings = "not recorded" if record.settings is None else json.dumps(record.settings)
         writer.writerow([*cells, settings])
     return text.getvalue()
+
+
+def _column(field: str, name: str) -> str:
+    return f"error_{name}" if field == "held_out" else name
 
 
 def _names(records: Sequence[Record], field: str) -> set[str]:
@@ -87,8 +92,9 @@ def _methods(ordered: Sequence[Record]) -> list[list[str]]:
     for (experiment, method, mark), group in groups.items():
         paper = paper_values().get(experiment, {}).get(method)
         before = [record.before for record in group if record.before is not None]
-        success = _spread([record.success for record in group])
-        rows.append([experiment, method, f"{len(group)}{mark}", success, _spread(before), _pair(paper)])
+        success = [record.success for record in group if record.success is not None]
+        found = [_spread(success) if success else NOT_SIMULATED, _spread(before), _pair(paper)]
+        rows.append([experiment, method, f"{len(group)}{mark}", *found])
     return rows
 
 
@@ -96,7 +102,8 @@ def _side_by_side(ordered: Sequence[Record]) -> list[str]:
     """A section with a row for each target task and seed that several methods were run on; empty without one."""
     groups: dict[tuple[str, str, str], dict[str, float]] = defaultdict(dict)
     for record in ordered:
-        groups[record.run.experiment, record.run.target, str(record.run.seed)][record.run.method] = record.success
+        if record.success is not None:
+            groups[record.run.experiment, record.run.target, str(record.run.seed)][record.run.method] = record.success
     shared = {names: rates for names, rates in groups.items() if len(rates) > 1}
     if not shared:
         return []
@@ -123,19 +130,22 @@ def _rate(rate: float | None) -> str:
 
 def _runs(ordered: Sequence[Record]) -> list[str]:
     header = ["experiment", "method", "target", "seed", "success", "before", "source", "proxies", "alignment"]
-    measured = bool(_names(ordered, "behaviour"))
-    return _rows([*header, *["behaviour"] * measured], [_run(record, measured) for record in ordered])
+    further = {"behaviour": "behaviour", "held_out": "error of held-out actions"}
+    shown = {field: title for field, title in further.items() if _names(ordered, field)}
+    return _rows([*header, *shown.values()], [_run(record, [*shown]) for record in ordered])
 
 
-def _run(record: Record, measured: bool) -> list[str]:
-    success = f"{record.success:.2f} ({record.low:.2f} – {record.high:.2f})"
+def _run(record: Record, measures: Sequence[str]) -> list[str]:
+    success = NOT_SIMULATED
+    if record.success is not None:
+        success = f"{record.success:.2f} ({record.low:.2f} – {record.high:.2f})"
     others = [_rate(rate) for rate in (record.before, record.source, record.proxy)]
-    names = map(str, record.run)
-    return [*names, success, *others, _named(record.alignment), *[_named(record.behaviour)] * measured]
+    digits = [(field, 4 if field == "held_out" else 2) for field in ("alignment", *measures)]
+    return [*map(str, record.run), success, *others, *(_named(getattr(record, field), n) for field, n in digits)]
 
 
-def _named(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.2f}" for name, value in values.items()) or "–"
+def _named(values: Mapping[str, float], digits: int) -> str:
+    return ", ".join(f"{name} {value:.{digits}f}" for name, value in values.items()) or "–"
 
 
 def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

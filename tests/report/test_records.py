@@ -131,3 +131,14 @@ def test_results_that_a_run_did_not_write_are_refused(tmp_path) -> None:
     (tmp_path / "status.json").write_text(json.dumps({"results_sha256": "0" * 64}))
     with pytest.raises(ConfigError, match="has changed since the run wrote it"):
         read_records([tmp_path])
+
+
+def test_runs_that_simulated_nothing_are_read(tmp_path) -> None:
+    unsimulated = {key: value for key, value in RESULT.items() if key not in ("target", "proxy")}
+    (tmp_path / "results.json").write_text(json.dumps(unsimulated | {"held_out": {"flat": 0.25, "tall": 0.5}}))
+    (record,) = read_records([tmp_path])
+    assert (record.success, record.low, record.high, record.before, record.proxy) == (None,) * 5
+    assert (record.held_out, record.alignment) == ({"flat": 0.25, "tall": 0.5}, {"top5": 0.8})
+    (tmp_path / "results.json").write_text(json.dumps(unsimulated))
+    with pytest.raises(ConfigError, match="not a run's results"):
+        read_records([tmp_path])

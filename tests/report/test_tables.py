@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 
@@ -119,3 +120,16 @@ def test_kept_results_lie_where_their_names_say(record):
 def test_mistakes_are_one_line(tmp_path):
     assert "no such file or folder" in complaint("report", tmp_path / "runs")
     assert "see plp report --help" in complaint("report")
+
+
+def test_runs_without_a_simulator_tell_errors_of_held_out_actions_and_no_success():
+    errors = {"held_out": {"flat": 0.01234, "tall": 0.5}, "low": None, "high": None, "before": None, "proxy": None}
+    run = dataclasses.replace(record(success=None, experiment="own", alignment={"mix": 0.75}), **errors)
+    text = markdown([run, record(), record("bc")])
+    assert "| own | plp | 1 | not simulated | – | – |" in text
+    row = "| own | plp | x0y0h0 | 0 | not simulated | – | – | – | mix 0.75 | flat 0.0123, tall 0.5000 |"
+    assert row in text.splitlines()
+    assert "own" not in text[text.index("## Side by side") : text.index("## Runs")]
+    simulated, unsimulated = csv.DictReader(io.StringIO(comma_separated([run, record()])))
+    assert (unsimulated["success"], unsimulated["error_flat"], unsimulated["mix"]) == ("", "0.01234", "0.75")
+    assert (simulated["success"], simulated["error_flat"]) == ("0.5", "")
