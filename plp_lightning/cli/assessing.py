@@ -1,4 +1,4 @@
-"""The verbs that look at a trained policy: test, validate, predict."""
+"""The verbs that look at a trained policy: test, validate, predict; what they, and rollout, are asked."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from plp_lightning.runs.results import print_success
 
 def run_test(arguments: Sequence[str]) -> None:
     """``plp test``: success rates of a run's policy in the simulators."""
-    parser = _options("test", arguments, "Success rates of a trained policy in the simulators.")
+    parser = assessment_options("test", arguments, "Success rates of a trained policy in the simulators.")
     parser.add_argument("--episodes", type=positive, help="episodes of each trial; the configuration's if not given")
     parser.add_argument("--episode_seed", type=seed, help="seed of the initial states; the run's if not given")
     parser.add_argument("--output", type=Path, help="JSON file to write; test.json in the run directory if not given")
-    assessment, options = _assessment(parser, arguments)
+    assessment, options = read_assessment(parser, arguments)
     outcomes = assessment.success(options.episodes, options.episode_seed)
     print_success(outcomes, f"{assessment.experiment.name} · {assessment.checkpoint}")
     assessment.write(options.output or assessment.folder / "test.json", {"trials": outcomes})
@@ -31,17 +31,17 @@ def run_test(arguments: Sequence[str]) -> None:
 
 def run_validate(arguments: Sequence[str]) -> None:
     """``plp validate``: held-out losses of a run's policy."""
-    parser = _options("validate", arguments, "Held-out losses and alignment scores of a trained policy.")
-    assessment, _ = _assessment(parser, arguments)
+    parser = assessment_options("validate", arguments, "Held-out losses and alignment scores of a trained policy.")
+    assessment, _ = read_assessment(parser, arguments)
     for name, value in (held_out_losses(assessment) | assessment.scores()).items():
         Console().print(f"{shown(name)}: {value:.4f}", highlight=False)
 
 
 def run_predict(arguments: Sequence[str]) -> None:
     """``plp predict``: the policy's actions on held-out trajectories, beside the expert's."""
-    parser = _options("predict", arguments, "Actions of a trained policy on held-out trajectories, as .npz.")
+    parser = assessment_options("predict", arguments, "Actions of a trained policy on held-out trajectories, as .npz.")
     parser.add_argument("--output", type=Path, help="file to write; predictions.npz in the run directory if not given")
-    assessment, options = _assessment(parser, arguments)
+    assessment, options = read_assessment(parser, arguments)
     print(predict_actions(assessment, options.output or assessment.folder / "predictions.npz"))
 
 
@@ -49,7 +49,7 @@ def _names_files(arguments: Sequence[str]) -> bool:
     return any(word.partition("=")[0] == "--config" for word in arguments)
 
 
-def _options(verb: str, arguments: Sequence[str], description: str) -> OptionParser:
+def assessment_options(verb: str, arguments: Sequence[str], description: str) -> OptionParser:
     """Options of a run directory, or of files with a checkpoint, whichever the arguments name."""
     usage = f"plp {verb} RUN_DIR [options]\n       plp {verb} --config FILE … --checkpoint FILE [options]"
     parser = OptionParser(f"plp {verb}", usage=usage, description=description, allow_abbrev=False)
@@ -63,7 +63,8 @@ def _options(verb: str, arguments: Sequence[str], description: str) -> OptionPar
     return parser
 
 
-def _assessment(parser: OptionParser, arguments: Sequence[str]) -> tuple[Assessment, argparse.Namespace]:
+def read_assessment(parser: OptionParser, arguments: Sequence[str]) -> tuple[Assessment, argparse.Namespace]:
+    """What is to be looked at, and the values of all options."""
     if _names_files(arguments):
         options, rest = parser.parse_known_args(list(arguments))
         _check_files_alone(rest)

@@ -30,6 +30,11 @@ def seed(text: str) -> int:
     return _number(text, 0, (1 << 32) - 1, f"from 0 to {(1 << 32) - 1}")
 
 
+def pixels(text: str) -> int:
+    """A height or a width of pictures: a whole number from 16 to 1024."""
+    return _number(text, 16, 1024, "from 16 to 1024")
+
+
 def _number(text: str, least: int, most: int, told: str) -> int:
     if not text.isdecimal() or len(text) > len(str(most)) or not least <= int(text) <= most:
         raise argparse.ArgumentTypeError(f"found {text!r}; expected a whole number {'of ' * (least == 1)}{told}")

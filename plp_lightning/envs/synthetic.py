@@ -16,11 +16,14 @@ from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import EpisodeStream, episode_generator, start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
+from plp_lightning.envs.rendering.plane import Discs, draw_discs
 from plp_lightning.envs.tasks import Tasks
 
 GOALS = 8  # goals on the unit circle; a task is one of them
 RADIUS = 0.15  # an episode succeeds within this distance of its goal
 STRIDE = 0.1  # distance that a full action moves the point in one control step
+REACH, POINT = 1.3, 0.05  # edge of what is drawn, and radius with which the point is
+BLACK, GREY, RED, GREEN, BLUE = (0, 0, 0), (215, 215, 215), (213, 94, 0), (0, 158, 115), (0, 114, 178)
 
 
 class LinearPoint(Simulator):
@@ -72,6 +75,15 @@ class LinearPoint(Simulator):
         self.point[episodes] += STRIDE * clean @ self.rotation
         distance = np.linalg.norm(self.point[episodes] - self.goals[episodes], axis=1)
         return Step(self._observe(episodes), (distance < RADIUS) & ~invalid, invalid)
+
+    def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Pictures ``(n, H, W, 3)`` of the plane: the point, and the goals."""
+        return draw_discs([*self._goals_seen(episodes), Discs(self.point[episodes], POINT, BLACK)], REACH, size)
+
+    def _goals_seen(self, episodes: np.ndarray) -> list[Discs]:
+        """All goals, and the episode's own on top."""
+        others = [np.tile(self.goal(name), (len(episodes), 1)) for name in self.tasks.names]
+        return [*(Discs(places, RADIUS, GREY) for places in others), Discs(self.goals[episodes], RADIUS, GREEN)]
 
     def _observe(self, episodes: np.ndarray) -> Observation[np.ndarray]:
         return Observation((self.point[episodes] @ self.lift.T + self.shift).astype(np.float32))
@@ -127,10 +139,13 @@ class SeenPoint(LinearPoint):
         lights = self._light(self.colours[episodes]) + self._light(self.point[episodes][:, None])
         return Observation(state, np.minimum(lights * 255, 255).astype(np.uint8))
 
+    def _goals_seen(self, episodes: np.ndarray) -> list[Discs]:
+        return [Discs(self.colours[episodes, i], RADIUS, colour) for i, colour in enumerate((RED, GREEN, BLUE))]
+
     def _light(self, places: np.ndarray) -> np.ndarray:
         """Spots of light at places ``(n, C, 2)``, one a channel, as ``(n, H, W, C)``; C = 1 is white."""
         seen = places @ self.view.T
-        pixels = np.linspace(-1.3, 1.3, self.image_size)
+        pixels = np.linspace(-REACH, REACH, self.image_size)
         rows, columns = (np.exp(-((pixels[:, None] - seen[:, None, :, i]) ** 2) / 0.05) for i in range(2))
         light: np.ndarray = rows[:, :, None] * columns[:, None]
         return light

@@ -45,6 +45,21 @@ class Arranged(Protocol):
         """A word for the places of things in the episode of ``task`` with ``seed``."""
 
 
+@runtime_checkable
+class Rendered(Protocol):
+    """A simulator that people can watch, whether its observations have images or not."""
+
+    def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Pictures ``(n, H, W, 3)`` uint8 of the episodes ``(n,)`` as they stand, ended ones too.
+
+        ``size`` is the height and width that is asked for, pixels; pictures of another size are taken as well, such as
+        those of Gymnasium's ``render()``.
+
+        Raises:
+            UserError: If pictures cannot be drawn on this machine.
+        """
+
+
 def located(simulator: object) -> Located:
     """The simulator, if it knows a position that domains share.
 

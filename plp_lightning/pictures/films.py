@@ -9,18 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from PIL import Image, ImageDraw
 
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.rollout import Episodes, Observer
 from plp_lightning.evaluation.simulation import EvalSetting
+from plp_lightning.pictures.movies import caption, framed
 from plp_lightning.pictures.paths import FAILED, SOLVED
 
 IMAGES = 8  # images in a strip: the first, the last, and others evenly between
 TILE = 96  # least side of an image in a moving picture, pixels
-BORDER = 4  # width of the frame around it, pixels
-CAPTION = 16  # height of the line of text above a row, pixels
 EVERY = 2  # control steps from one frame of a moving picture to the next
 
 
@@ -109,7 +107,7 @@ def film_frames(reels: Mapping[str, Sequence[Film]]) -> list[np.ndarray]:
     """
     width = max(map(len, reels.values()))
     longest = max(len(film.images) for films in reels.values() for film in films)
-    captions = {title: _caption(title, width * _tile(films[0], 0).shape[1]) for title, films in reels.items()}
+    captions = {title: caption(title, width * _tile(films[0], 0).shape[1]) for title, films in reels.items()}
     times = [*range(0, longest - 1, EVERY), longest - 1]
     return [np.concatenate([*_rows(reels, captions, width, t)]) for t in times]
 
@@ -124,18 +122,7 @@ def _rows(
 
 
 def _tile(film: Film, t: int) -> np.ndarray:
-    image, scale = film.images[min(t, len(film.images) - 1)], -(-TILE // film.images.shape[2])
-    large = image.repeat(scale, axis=0).repeat(scale, axis=1)
-    framed = np.empty((large.shape[0] + 2 * BORDER, large.shape[1] + 2 * BORDER, 3), np.uint8)
-    framed[:] = (255 * np.array(_colour(film))).round()
-    framed[BORDER:-BORDER, BORDER:-BORDER] = large
-    return framed
-
-
-def _caption(text: str, width: int) -> np.ndarray:
-    paper = Image.new("RGB", (width, CAPTION), "white")
-    ImageDraw.Draw(paper).text((BORDER, 2), text, fill="black")
-    return np.asarray(paper)
+    return framed(film.images[min(t, len(film.images) - 1)], TILE, _colour(film))
 
 
 def _draw_strip(axes: Axes, film: Film) -> None:

@@ -11,12 +11,12 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
-from PIL import Image
 
 from datamodules.store.atomic import locked_folder, replacing
+from plp_lightning.pictures.movies import write_gif
 
 DPI = 120
-FRAME_TIME, LAST_FRAME_TIME = 50, 1000  # time that a frame of a moving picture stays, ms
+RATE = 20.0  # frames of a moving picture in a second
 
 
 def publish(trainer: Trainer, name: str, figure: Figure) -> None:
@@ -41,15 +41,8 @@ def publish_film(trainer: Trainer, name: str, frames: Sequence[np.ndarray]) -> N
         name: Name of the picture, in a word.
         frames: One or more images ``(H, W, 3)`` uint8, all of one shape; the last stays for a second.
     """
-    # One palette for all, from both ends: with one each, colours would flicker.
-    palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(256)
-    images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    times = [FRAME_TIME] * (len(images) - 1) + [LAST_FRAME_TIME]
     for logger in _tensorboards(trainer):
-        folder = Path(logger.log_dir)
-        folder.mkdir(parents=True, exist_ok=True)
-        with locked_folder(folder), replacing(folder / f"{name}.gif") as temporary:
-            images[0].save(temporary, "GIF", save_all=True, append_images=images[1:], duration=times, loop=0)
+        write_gif(Path(logger.log_dir) / f"{name}.gif", frames, RATE)
 
 
 def pixels(figure: Figure) -> np.ndarray:

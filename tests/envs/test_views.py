@@ -4,22 +4,22 @@ import pytest
 
 from datamodules.errors import UserError
 from plp_lightning.envs import Lift, LinearPoint, PointMaze, Reach, Window
-from plp_lightning.envs.views import Arranged, Located, Planned, located
+from plp_lightning.envs.views import Arranged, Located, Planned, Rendered, located
 
 
 @pytest.mark.parametrize(
     ("simulator", "views"),
     [
-        (Lift("UR5e"), {Located}),
-        (PointMaze("umaze"), {Located, Planned}),
-        (Reach("front"), {Located, Arranged}),
-        (Window("front"), {Located}),
-        (LinearPoint(1), {Located}),
+        (Lift("UR5e"), {Located, Rendered}),
+        (PointMaze("umaze"), {Located, Planned, Rendered}),
+        (Reach("front"), {Located, Arranged, Rendered}),
+        (Window("front"), {Located, Rendered}),
+        (LinearPoint(1), {Located, Rendered}),
     ],
     ids=["lift", "maze", "reach", "window", "linear"],
 )
 def test_a_simulator_has_the_views_whose_methods_it_has(simulator: object, views: set[type]) -> None:
-    assert {view for view in (Located, Planned, Arranged) if isinstance(simulator, view)} == views
+    assert {view for view in (Located, Planned, Arranged, Rendered) if isinstance(simulator, view)} == views
     assert located(simulator) is simulator
 
 

@@ -8,8 +8,6 @@ from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.evaluation.simulation import EvalSetting
 from plp_lightning.pictures.films import (
-    BORDER,
-    CAPTION,
     IMAGES,
     TILE,
     Film,
@@ -19,6 +17,7 @@ from plp_lightning.pictures.films import (
     film_recorders,
     strip,
 )
+from plp_lightning.pictures.movies import BORDER, LINE
 from plp_lightning.pictures.paths import FAILED, SOLVED
 
 TASKS, SEEDS = ["red", "green", "blue", "red", "green"], [3, 4, 5, 6, 7]
@@ -109,15 +108,15 @@ def test_frames_hold_every_film_with_its_end_around_it() -> None:
     reels = {"there": [film(6, False), film(3, True)], "here": [film(4, True)]}
     frames = film_frames(reels)
     side = TILE + 2 * BORDER
-    assert {frame.shape for frame in frames} == {(2 * (CAPTION + side), 2 * side, 3)}
-    middle = CAPTION + side // 2
+    assert {frame.shape for frame in frames} == {(2 * (LINE + side), 2 * side, 3)}
+    middle = LINE + side // 2
     # Times 0, 2, 4 and the last, 5; a film that is over waits at its last image.
     assert [int(f[middle, side // 2, 0]) for f in frames] == [0, 2, 4, 5]
     assert [int(f[middle, side + side // 2, 0]) for f in frames] == [0, 2, 2, 2]
-    assert [int(f[middle + CAPTION + side, side // 2, 0]) for f in frames] == [0, 2, 3, 3]
+    assert [int(f[middle + LINE + side, side // 2, 0]) for f in frames] == [0, 2, 3, 3]
     edges = ["#{:02X}{:02X}{:02X}".format(*frames[0][middle, column]) for column in (0, side)]
     assert edges == [FAILED, SOLVED]
-    assert (frames[0][middle + CAPTION + side, side:] == 255).all()
+    assert (frames[0][middle + LINE + side, side:] == 255).all()
 
 
 @pytest.mark.parametrize("size", [9, 64, 128])

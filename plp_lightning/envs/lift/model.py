@@ -20,10 +20,12 @@ import numpy as np
 
 from plp_lightning.envs.lift.state import Arm
 from plp_lightning.envs.lift.tasks import BLOCK_HALF, Robot
+from plp_lightning.envs.rendering.scene import HIDDEN
 
 PEDESTAL_HALF = (0.018, 0.018, 0.10)
 """Half size of the pedestal, m: narrower than the block, so that the fingers clear it."""
 ARENA = "16M"  # room for contacts in each thread; an episode needs less than a tenth of it
+COLLIDING = 0  # robosuite's group of geoms that collide; those to be seen are in another
 FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
 """Sign with which each finger's actuator follows the gripper command."""
 
@@ -98,13 +100,15 @@ class LiftModel:
     rest_pose: np.ndarray  # arm joints (n,) in robosuite's initial pose, rad; open_fingers (g,) likewise, m or rad
     open_fingers: np.ndarray
     pedestal: int  # row of the pedestal in mocap_pos
+    xml: str  # robosuite's own file, with all that is there to be seen
 
     @classmethod
     @cache
     def build(cls, robot: Robot) -> LiftModel:
         """The robot's model, built through robosuite (2 to 5 s) once in a process: stepping only reads it."""
         env = robosuite_env(robot)
-        parts, model = env.robots[0], _bare_model(env)
+        xml = _own_xml(env)
+        parts, model = env.robots[0], _bare_model(xml)
         actuators = np.array(parts._ref_actuators_indexes_dict["right"])
         finger_actuators = np.array(parts._ref_joint_gripper_actuator_indexes["right"])
         arm = Arm(
@@ -122,15 +126,26 @@ class LiftModel:
             finger_limits=model.actuator_ctrlrange[finger_actuators],
         )
         rest_pose, fingers = np.array(parts.init_qpos, dtype=float), np.array(parts.gripper["right"].init_qpos)
-        return cls(model, arm, rest_pose, fingers, pedestal=int(model.body("pedestal").mocapid[0]))
+        return cls(model, arm, rest_pose, fingers, int(model.body("pedestal").mocapid[0]), xml)
+
+    def visible(self) -> mujoco.MjModel:
+        """A model of the same joints for pictures, with meshes and textures in the place of what collides."""
+        model = mujoco.MjModel.from_xml_string(self.xml)
+        model.geom_group[model.geom_group == COLLIDING] = model.site_group[:] = HIDDEN
+        return model
 
 
-def _bare_model(env: Any) -> mujoco.MjModel:
-    """The environment's model without what only a renderer or a sensor needs; its motion is the same, bit for bit."""
+def _own_xml(env: Any) -> str:
     root = ET.fromstring(env.edit_model_xml(env.model.get_xml()))
     for size in root.findall("size"):  # robosuite asks for room for thousands of contacts: a gigabyte in each thread
         root.remove(size)
     ET.SubElement(root, "size", memory=ARENA)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _bare_model(xml: str) -> mujoco.MjModel:
+    """The environment's model without what only a renderer or a sensor needs; its motion is the same, bit for bit."""
+    root = ET.fromstring(xml)
     for compiler in root.findall("compiler"):
         compiler.set("discardvisual", "true")
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))

@@ -21,8 +21,10 @@ from plp_lightning.envs.lift.tasks import TASKS, Robot, block_place
 
 if TYPE_CHECKING:
     from plp_lightning.envs.lift.physics import LiftPhysics
+    from plp_lightning.envs.rendering.studio import Studio
 
 JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}  # joints of the arm and of the fingers
+VIEW = (150.0, -20.0, 1.4, (-0.1, 0.0, 1.0))  # Viewpoint of films: from beyond the table
 
 
 class Lift(Simulator):
@@ -89,6 +91,17 @@ class Lift(Simulator):
         physics = self._physics
         valid = physics.step(actions, episodes)
         return Step(Observation(physics.episodes.observation[episodes]), physics.lifted(episodes) & valid, ~valid)
+
+    def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Pictures ``(n, H, W, 3)`` of robot, block and pedestal, with all that robosuite has to be seen."""
+        return self._studio.pictures(self._physics, episodes, size)
+
+    @cached_property
+    def _studio(self) -> Studio:
+        from plp_lightning.envs.rendering.camera import Viewpoint
+        from plp_lightning.envs.rendering.studio import Studio
+
+        return Studio(self._physics.lift.visible(), Viewpoint(*VIEW))
 
     @cached_property
     def _physics(self) -> LiftPhysics:

@@ -21,7 +21,10 @@ from plp_lightning.envs.tasks import Tasks
 from plp_lightning.envs.views import FloorPlan
 
 if TYPE_CHECKING:
+    from mujoco import MjData
+
     from plp_lightning.envs.maze.physics import MazePhysics
+    from plp_lightning.envs.rendering.studio import Studio
 
 LayoutName = Literal["umaze", "medium"]
 FrameName = Literal["d4rl", "gymnasium"]
@@ -122,6 +125,14 @@ class Maze(Simulator):
         goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.by_name.items()}
         return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
 
+    def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Pictures ``(n, H, W, 3)`` of the whole maze from above, with the goal on its floor."""
+
+        def mark_goal(data: MjData, episode: int) -> None:
+            data.mocap_pos[0, :2] = self._goals[episode]
+
+        return self._studio.pictures(self._physics, episodes, size, mark_goal)
+
     @abstractmethod
     def _keys(self) -> tuple[ObservationKey, ...]: ...
 
@@ -135,9 +146,18 @@ class Maze(Simulator):
     def _physics(self) -> MazePhysics:
         from plp_lightning.envs.maze.physics import MazePhysics  # half a second that listing tasks need not pay
 
+        return MazePhysics(self._mjcf(self._walls), self.threads)
+
+    @cached_property
+    def _studio(self) -> Studio:
+        from plp_lightning.envs.maze.pictures import maze_studio
+
+        return maze_studio(self._mjcf(self._walls), self.frame, self.layout.shape, self._radius)
+
+    @property
+    def _walls(self) -> list[Box]:
         centres = self.frame.centres(np.array(self.layout.walls)).tolist()
-        walls = [Box(x, y, self.scale / 2, self._wall_height / 2) for x, y in centres]
-        return MazePhysics(self._mjcf(walls), self.threads)
+        return [Box(x, y, self.scale / 2, self._wall_height / 2) for x, y in centres]
 
     def _start(self, cells: Sequence[tuple[int, int]], seed: int) -> np.ndarray:
         rng = start_generator(seed)

@@ -31,14 +31,15 @@ class Camera:
     Args:
         model: Model to draw; its offscreen buffer decides the largest image.
         viewpoint: Place of the camera.
-        size: Height and width of the images, pixels.
+        size: Height and width of the images, pixels; one number for both if they are square.
 
     Raises:
         UserError: If the chosen backend does not work on this machine.
     """
 
-    def __init__(self, model: mujoco.MjModel, viewpoint: Viewpoint, size: int) -> None:
-        self._model, self._context = model, _make_context(size)
+    def __init__(self, model: mujoco.MjModel, viewpoint: Viewpoint, size: int | tuple[int, int]) -> None:
+        height, width = (size, size) if isinstance(size, int) else size
+        self._model, self._context = model, _make_context(width, height)
         self._context.make_current()
         self._drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
@@ -46,11 +47,11 @@ class Camera:
         for flag in _OFF:
             self._scene.flags[flag] = 0
         self._option, self._camera = mujoco.MjvOption(), free_camera(viewpoint)
-        self._frame = mujoco.MjrRect(0, 0, size, size)
-        self._pixels = np.empty((size, size, 3), dtype=np.uint8)
+        self._frame = mujoco.MjrRect(0, 0, width, height)
+        self._pixels = np.empty((height, width, 3), dtype=np.uint8)
 
     def image(self, data: mujoco.MjData, out: np.ndarray | None = None) -> np.ndarray:
-        """The state in ``data``, whose kinematics are fresh, as uint8 ``(size, size, 3)``, top row first.
+        """The state in ``data``, whose kinematics are fresh, as uint8 ``(H, W, 3)``, top row first.
 
         It is written to ``out``, of that shape too, or to a new array.
         """
@@ -78,10 +79,10 @@ def free_camera(viewpoint: Viewpoint) -> mujoco.MjvCamera:
     return camera
 
 
-def _make_context(size: int) -> Any:
+def _make_context(width: int, height: int) -> Any:
     """An OpenGL context of the chosen backend, taken from its own module: it may be chosen after MuJoCo's import."""
     backend = choose_backend()
     try:
-        return importlib.import_module(f"mujoco.{backend}").GLContext(size, size)
+        return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
     except Exception as error:  # PyOpenGL's errors have nothing else in common
         raise UserError(missing(backend)) from error

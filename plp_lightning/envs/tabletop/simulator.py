@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -22,6 +23,7 @@ from plp_lightning.envs.tabletop.layout import Layout
 from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
+    from plp_lightning.envs.rendering.studio import Studio
     from plp_lightning.envs.tabletop.model import TabletopModel
     from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
@@ -99,6 +101,10 @@ class Tabletop(Simulator):
         observation, invalid = self._physics.step(actions, episodes)
         return Step(observation, self._solved(episodes) & ~invalid, invalid)
 
+    def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Pictures ``(n, H, W, 3)`` from where the camera is."""
+        return self._studio.pictures(self._physics, episodes, size)
+
     @abstractmethod
     def aims(self, episodes: np.ndarray) -> np.ndarray:
         """Place ``(n, 3)`` of the ball or handle in each of the episodes ``(n,)``, m: for experts, not policies."""
@@ -124,6 +130,12 @@ class Tabletop(Simulator):
         from plp_lightning.envs.tabletop.physics import TabletopPhysics
 
         return TabletopPhysics(self._scene(), Viewpoint(*VIEWS[self.view]), self.image_size, self.threads)
+
+    @cached_property
+    def _studio(self) -> Studio:
+        from plp_lightning.envs.rendering.studio import Studio
+
+        return Studio(copy(self._physics.model), self._physics.viewpoint)
 
     def _stream(self, seed: int) -> np.random.Generator:
         # The view joins the seed, so that equal seeds do not align the domains' episodes.
