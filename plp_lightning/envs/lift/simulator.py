@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from plp_lightning.envs.rendering.studio import Studio
 
 JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}  # joints of the arm and of the fingers
-VIEW = (150.0, -20.0, 1.4, (-0.1, 0.0, 1.0))  # Viewpoint of films: from beyond the table
+VIEW = (150.0, -20.0, 1.6, (-0.1, 0.0, 1.05))  # Viewpoint of films: from beyond the table
 
 
 class Lift(Simulator):

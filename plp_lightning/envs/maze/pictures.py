@@ -14,7 +14,8 @@ FLOOR, WALL, BODY, GOAL = (
     *((0.0, 0.45, 0.7, 1.0), (0.0, 0.62, 0.45, 1.0)),
 )
 THICKNESS = 0.01  # of the disc that marks the goal, m
-ELEVATION = -70.0  # degrees
+ELEVATION = -80.0  # degrees
+LOW = 0.15  # half height of a wall for each metre of half its width: nothing hides behind it
 WIDTH = 1.3  # distance of the camera for each metre of the maze, m: MuJoCo's free camera sees an angle of 45°
 
 
@@ -27,6 +28,8 @@ def maze_studio(mjcf: str, frame: Frame, shape: tuple[int, int], radius: float) 
     spec = mujoco.MjSpec.from_string(mjcf)
     for geom in spec.geoms:
         geom.rgba = FLOOR if geom.name == "floor" else WALL if geom.name.startswith("wall_") else BODY
+        if geom.name.startswith("wall_"):
+            geom.size[2] = geom.pos[2] = LOW * geom.size[0]
     disc = spec.worldbody.add_body(name="goal", mocap=True)
     disc.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, THICKNESS, 0], rgba=GOAL)
     _light(spec)
