@@ -34,7 +34,8 @@ def run_export(arguments: Sequence[str]) -> None:
     checkpoint = checkpoint_of(run, options.phase, options.which)
     check_own(run, checkpoint)
     policy = load_policy(checkpoint, allow_imports=options.allow_imports)
-    domain, task = options.domain or policy.problem.target_domain, options.task or _target_task(run)
+    domain = policy.problem.target_domain if options.domain is None else options.domain
+    task = _target_task(run) if options.task is None else options.task
     path = options.out or run.path / f"policy{SUFFIXES[options.to]}"
     export(RobotPolicy(policy, domain, task), options.to, path, _provenance(run, checkpoint))
     print(f"{path}: acts in {domain} on {task}; {path.name}.json says what it wants")

@@ -54,8 +54,9 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], rate: float) -> None:
         frames: One or more images ``(H, W, 3)`` uint8, all of one shape.
         rate: Frames per second; the last one stays for a second.
     """
-    # One palette for all, from both ends: with one each, colours would flicker.
-    palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(256)
+    # One palette for all, from both ends: with one each, colours would flicker. An octree keeps those of small things.
+    ends = Image.fromarray(np.concatenate([frames[0], frames[-1]]))
+    palette = ends.quantize(256, method=Image.Quantize.FASTOCTREE)
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     times = [round(1000 / rate)] * (len(images) - 1) + [round(1000 * LAST)]
     path.parent.mkdir(parents=True, exist_ok=True)

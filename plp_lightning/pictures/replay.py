@@ -14,7 +14,7 @@ from plp_lightning.envs.faults import blaming
 from plp_lightning.envs.views import Rendered
 
 RATE = 25.0  # frames per second that are enough
-MOST = 600  # frames of a film; of a longer episode fewer are taken in a second
+MOST = 800  # frames of a film; of a longer episode fewer are taken in a second
 ONLY = np.zeros(1, dtype=np.int64)  # the episode, where one is run alone
 
 

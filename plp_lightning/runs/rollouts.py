@@ -82,11 +82,13 @@ class Scene:
             ConfigError: If there is no such domain or task, or the domain has no simulator or cannot be filmed.
             UserError: If pictures cannot be drawn on this machine.
         """
-        data, domain = experiment.data, domain or experiment.data.target_domain
+        data = experiment.data
+        domain = data.target_domain if domain is None else domain
+        target = data.target_task if target is None else target
         check_known("domain", [domain], experiment.domains)
         if domain not in experiment.simulators:
             raise ConfigError(f"domain {domain!r} is known by its demonstrations alone; expected one with a simulator")
-        simulator, target = experiment.simulators[domain], target or data.target_task
+        simulator = experiment.simulators[domain]
         setting = EvalSetting(domain, simulator.tasks.of(target))
         scene = cls(simulator, setting, target, experiment.seed if seed is None else seed, size)
         (task,), (first,) = setting.in_turn("evaluate", scene.seed, 1)
@@ -133,7 +135,7 @@ class Scene:
     def _told(self, taken: Taken, end: str) -> list[str]:
         """Text of a caption, a line or more each."""
         ended = f"{end} after {len(taken.actions)} steps"
-        return [f"{self.setting.domain}: {taken.task}", f"episode {taken.number}, seed {self.seed}: {ended}"]
+        return [f"{taken.task} in {self.setting.domain}", f"episode {taken.number}, seed {self.seed}: {ended}"]
 
 
 def _under(lines: Sequence[str], image: np.ndarray) -> np.ndarray:
