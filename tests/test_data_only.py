@@ -137,6 +137,7 @@ def test_a_run_is_resumed_looked_at_and_leaves(uneven: Path, tmp_path: Path) -> 
     assert answer.code == 0, answer
     assert 0 <= json.loads(run.results.read_text())["alignment"]["mix"] <= 1
     assert "acts in no domain that has a simulator" in complaint("test", run.path)
+    assert "domain 'tall' is known by its demonstrations alone" in complaint("rollout", run.path)
     for verb in ("validate", "predict"):
         assert plp(verb, run.path).code == 0
     assert "| own | plp | 1 | not simulated |" in plp("report", run.path).out

@@ -23,10 +23,11 @@ def run_rollout(arguments: Sequence[str]) -> None:
     """``plp rollout``: success of a run's policy in one domain, and films of its episodes, failures first."""
     assessment, options = _asked(arguments)
     scene = Scene.of(assessment.experiment, options.domain, options.task, options.seed, tuple(options.size))
+    folder = options.out or assessment.folder / "rollouts"
+    folder.mkdir(parents=True, exist_ok=True)
     among = options.among or assessment.experiment.evaluation.final_episodes
     outcome, taken = scene.run(assessment.policy, max(among, options.episodes))
     _print_outcome(scene, outcome)
-    folder = options.out or assessment.folder / "rollouts"
     films = [_filmed(scene, episode, folder) for episode in taken[: options.episodes]]
     about = {"domain": scene.setting.domain, "task": scene.target, "seed": scene.seed}
     assessment.write(folder / f"{scene.name}.json", {**about, **outcome.to_dict(), "films": films})

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import textwrap
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from datamodules.store.atomic import locked_folder, replacing
-
-if TYPE_CHECKING:
-    from av.container import OutputContainer
 
 BORDER = 4  # width of the frame around an image, pixels
 LINE, LETTER = 16, 6  # height of a line of a caption, and about the width of a letter of Pillow's font, pixels
@@ -71,11 +67,17 @@ def makes_mp4() -> bool:
 
 def write_mp4(path: Path, frames: Sequence[np.ndarray], rate: float) -> None:
     """Write an mp4 file, complete or absent, from what :func:`write_gif` takes: frames ``(H, W, 3)`` uint8."""
+    content = _mp4(frames, rate)  # whole, as PyAV does not say what is wrong with a disk
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with locked_folder(path.parent), replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def _mp4(frames: Sequence[np.ndarray], rate: float) -> bytes:
     import av
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    codec = next(name for name in CODECS if name in av.codecs_available)
-    with locked_folder(path.parent), replacing(path) as temporary, _opened(temporary) as film:
+    codec, content = next(name for name in CODECS if name in av.codecs_available), io.BytesIO()
+    with av.open(content, "w", format="mp4") as film:
         stream = film.add_stream(codec, Fraction(rate).limit_denominator(1000))
         assert isinstance(stream, av.VideoStream)
         stream.height, stream.width = _even(frames[0]).shape[:2]
@@ -83,15 +85,7 @@ def write_mp4(path: Path, frames: Sequence[np.ndarray], rate: float) -> None:
         for image in [*frames, *[frames[-1]] * round(LAST * rate)]:
             film.mux(stream.encode(av.VideoFrame.from_ndarray(_even(image), format="rgb24")))
         film.mux(stream.encode())
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[OutputContainer]:
-    """A film that is written by way of Python, whose errors say what is wrong with a disk."""
-    import av
-
-    with path.open("wb") as file, av.open(file, "w", format="mp4") as film:
-        yield film
+    return content.getvalue()
 
 
 def _even(image: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from plp_lightning.runs.devices import device_name, resolved_device
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import check_own, load_policy_weights
+from plp_lightning.runs.rehearsal import check_packages
 from plp_lightning.runs.specs import check_checkpoint
 
 
@@ -68,9 +69,10 @@ class Assessment:
 
     def success(self, episodes: int | None, seed: int | None) -> dict[str, dict[str, Any]]:
         """Outcome of every trial; None stands for the experiment's own number and seed."""
-        if not self.experiment.eval_settings_of(self.policy):
+        if not (settings := self.experiment.eval_settings_of(self.policy)):
             told = f"{self.checkpoint}: acts in no domain that has a simulator"
             raise ConfigError(f"{told}; expected one to test it in: look at held-out actions by plp validate")
+        check_packages({trial.domain: self.experiment.simulators[trial.domain] for trial in settings.values()})
         outcomes = self.experiment.evaluate(self.policy, episodes, seed)
         return {name: outcome.to_dict() for name, outcome in outcomes.items()}
 

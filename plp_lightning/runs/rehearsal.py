@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from importlib.util import find_spec
 
 from datamodules.errors import ConfigError, UserError
+from plp_lightning.envs.base import Simulator
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.specs import check_file
 
@@ -16,7 +18,7 @@ def check_method(experiment: Experiment) -> None:
     Raises:
         ConfigError: If one can't be built, or a score asks simulators that are not there.
     """
-    _check_packages(experiment)
+    check_packages(experiment.simulators)
     _check_scores(experiment)
     try:
         _build_all(experiment)
@@ -26,8 +28,9 @@ def check_method(experiment: Experiment) -> None:
         raise ConfigError(f"a setting is impossible: {type(error).__name__}: {error}; change it") from None
 
 
-def _check_packages(experiment: Experiment) -> None:
-    for name, simulator in experiment.simulators.items():
+def check_packages(simulators: Mapping[str, Simulator]) -> None:
+    """Refuse, by a :class:`ConfigError`, simulators, by domain, of which a package is not installed."""
+    for name, simulator in simulators.items():
         if lacking := [module for module in simulator.needs if find_spec(module) is None]:
             told = f"domain {name!r}: {type(simulator).__name__} needs {lacking[0]}, which is not installed"
             raise ConfigError(f"{told}; install the simulators with: pip install 'plp-lightning[sim]'")

@@ -22,6 +22,7 @@ from plp_lightning.pictures.movies import caption, framed, makes_mp4, write_gif,
 from plp_lightning.pictures.paths import FAILED, SOLVED
 from plp_lightning.pictures.replay import check_filmable, replay
 from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.rehearsal import check_packages
 
 LINES = 2  # that the name of a task may take, which may be a sentence
 WIDTH = 256  # least width of a film's pictures, pixels
@@ -89,6 +90,7 @@ class Scene:
         if domain not in experiment.simulators:
             raise ConfigError(f"domain {domain!r} is known by its demonstrations alone; expected one with a simulator")
         simulator = experiment.simulators[domain]
+        check_packages({domain: simulator})
         setting = EvalSetting(domain, simulator.tasks.of(target))
         scene = cls(simulator, setting, target, experiment.seed if seed is None else seed, size)
         (task,), (first,) = setting.in_turn("evaluate", scene.seed, 1)

@@ -77,3 +77,12 @@ def test_simulators_that_are_not_there_do_not_render_or_cannot_are_told(
     monkeypatch.setattr("plp_lightning.runs.experiment.Experiment.simulators", {})
     told = "domain 'tall' is known by its demonstrations alone; expected one with a simulator"
     assert told in complaint("rollout", run.path)
+
+
+@pytest.mark.parametrize("verb", ["rollout", "test"])
+def test_simulators_that_are_not_installed_are_told(
+    verb: str, run: RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LinearPoint, "needs", ("no_such_simulator",))
+    told = complaint(verb, run.path)
+    assert "LinearPoint needs no_such_simulator, which is not installed; install the simulators with" in told

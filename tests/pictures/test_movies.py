@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +39,6 @@ def read(path: Path) -> tuple[list[np.ndarray], float]:
 
 
 WRITERS = {".gif": write_gif, ".mp4": write_mp4}
-Writer = Callable[[Path, Sequence[np.ndarray], float], None]
 
 
 @pytest.mark.parametrize("form", WRITERS)
@@ -59,22 +60,28 @@ def test_one_frame_is_a_film(form: str, tmp_path: Path) -> None:
     assert read(tmp_path / f"film{form}")[0][0].shape == (32, 32, 3)
 
 
+@contextmanager
+def little_room(size: int) -> Iterator[None]:
+    """Let no file grow beyond so many bytes, as a full disk does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("size", [0, 100, 4096])
 @pytest.mark.parametrize("form", WRITERS)
-def test_a_film_that_fails_leaves_the_one_before(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / f"film{form}"
+def test_a_film_that_does_not_fit_leaves_the_one_before(form: str, size: int, tmp_path: Path) -> None:
+    path, noise = tmp_path / f"film{form}", np.random.default_rng(0).integers(0, 256, (40, 128, 128, 3), np.uint8)
     WRITERS[form](path, film(3, 32, 32), 10.0)
     before = path.read_bytes()
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(
-        av.VideoFrame if form == ".mp4" else Image.Image, "from_ndarray" if form == ".mp4" else "save", full
-    )
-    with pytest.raises(OSError, match="No space left"):
-        WRITERS[form](path, film(6, 32, 32), 10.0)
+    with pytest.raises(OSError, match="File too large") as caught, little_room(size):
+        WRITERS[form](path, [*noise], 10.0)
+    assert caught.value.filename == str(path)
     assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    assert [*tmp_path.iterdir()] == [path]
 
 
 def test_small_images_are_enlarged_by_whole_pixels_and_framed() -> None:
