@@ -11,6 +11,7 @@ from datamodules.errors import ConfigError, UserError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.faults import blaming
+from plp_lightning.envs.rendering.backend import check_backend
 from plp_lightning.envs.views import Rendered
 
 RATE = 25.0  # frames per second that are enough
@@ -36,6 +37,8 @@ def check_filmable(simulator: Simulator, domain: str, task: str, seed: int, size
     if not isinstance(simulator, Rendered) and simulator.spec(domain).image_key is None:
         found = f"domain {domain!r} cannot be filmed: {type(simulator).__name__} neither renders nor has a camera"
         raise ConfigError(f"{found}; expected pictures: give it a method render(episodes, size)")
+    if "mujoco" in simulator.needs:
+        check_backend()  # before MuJoCo is imported, which fails where the library of MUJOCO_GL is missing
     with blaming(simulator):
         observation = simulator.reset([task], [seed])
     _seen(simulator, observation, size)

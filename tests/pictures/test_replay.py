@@ -11,6 +11,7 @@ import pytest
 
 from datamodules.errors import ConfigError, UserError
 from datamodules.types import DomainSpec, Observation
+from plp_lightning.envs import PointMaze
 from plp_lightning.envs.faults import SimulatorError
 from plp_lightning.envs.rendering import backend
 from plp_lightning.envs.synthetic import LinearPoint, SeenPoint
@@ -158,3 +159,20 @@ def test_missing_opengl_is_told_as_it_is(monkeypatch: pytest.MonkeyPatch) -> Non
         UserError, match=r"images cannot be drawn: egl does not work on this machine; .*apt-get install"
     ):
         check_filmable(Fast(1), "tall", "goal_3", 3, SIZE)
+
+
+@pytest.mark.parametrize("named", ["", "osmesa", "egl", "glfw"])
+def test_a_machine_without_opengl_is_told_before_mujoco_is_imported(
+    named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def imports(*_: object) -> None:
+        raise AttributeError("'NoneType' object has no attribute 'glGetError'")
+
+    monkeypatch.setenv("MUJOCO_GL", named)
+    monkeypatch.setattr(backend, "works", lambda backend: False)
+    monkeypatch.setattr(PointMaze, "reset", imports)
+    told = (
+        "MUJOCO_GL is 'glfw'; expected egl or osmesa" if named == "glfw" else f"{named or 'egl'} does not work on this"
+    )
+    with pytest.raises(UserError, match=told):
+        check_filmable(PointMaze("umaze"), "point", "s0_g_1_1", 3, SIZE)

@@ -41,6 +41,12 @@ def choose_backend() -> Backend:
     raise UserError(missing("egl"))
 
 
+def check_backend() -> None:
+    """Refuse, by a :class:`UserError`, a machine on which the backend that is chosen, or named, does not work."""
+    if not works(backend := choose_backend()):
+        raise UserError(missing(backend))
+
+
 def missing(backend: Backend) -> str:
     """One line: images cannot be drawn with ``backend``, and the packages to install."""
     return (
