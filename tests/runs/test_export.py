@@ -94,6 +94,8 @@ def test_no_path_of_this_machine_travels_along(tmp_path: Path) -> None:
     ("words", "told"),
     [
         (["--domain", "round"], "found domain 'round'; expected one of: flat, tall"),
+        (["--domain", ""], "found domain ''; expected one of: flat, tall"),
+        (["--task", ""], "found task ''; expected one of"),
         (["--task", "goal_99"], "found task 'goal_99'; expected one of: "),
         (["--phase", "pretraining"], "has no checkpoint 'last' of pretraining"),
         (["--to", "tflite"], "invalid choice"),
