@@ -53,7 +53,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.evaluation": {"datamodules", ENVS, METHODS},
     "plp_lightning.callbacks": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation", "plp_lightning.stopping"},
     "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
-    "plp_lightning.report": {"datamodules.errors"},
+    "plp_lightning.report": {"datamodules.errors", "datamodules.words", "plp_lightning.pictures.style"}
+    | {"plp_lightning.evaluation.bootstrap", "plp_lightning.evaluation.statistics", "plp_lightning.runs.curves"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
     | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"},
     "plp_lightning.cli.main": {

@@ -24,8 +24,9 @@ from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class n
 from plp_lightning.cli.building import build
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import OURS, explain
-from plp_lightning.cli.layers import Tree, check_shape, completed, insert, overlay, read_yaml, without_spare_parts
+from plp_lightning.cli.layers import check_shape, completed, insert, overlay, without_spare_parts
 from plp_lightning.cli.renamed import rename, rename_flag
+from plp_lightning.cli.yaml_files import Tree, read_yaml
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation import mixing  # noqa: F401

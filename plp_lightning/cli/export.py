@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from plp_lightning.cli.layers import read_yaml
 from plp_lightning.cli.options import OptionParser
+from plp_lightning.cli.yaml_files import read_yaml
 from plp_lightning.plugins import find_in_working_folder
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.export import SUFFIXES, WRITERS, export

@@ -14,7 +14,8 @@ from jsonargparse import ArgumentParser, Namespace
 from datamodules.errors import ConfigError
 from datamodules.plain_yaml import dump_yaml
 from plp_lightning.cli.classes import ALLOWED_IMPORTS, defaults, find_class
-from plp_lightning.cli.layers import Tree, insert
+from plp_lightning.cli.layers import insert
+from plp_lightning.cli.yaml_files import Tree
 
 
 def keep(parser: ArgumentParser, config: Namespace, dropped: Sequence[str]) -> Tree:

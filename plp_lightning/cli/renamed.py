@@ -7,7 +7,8 @@ from typing import Any
 
 from datamodules.errors import ConfigError
 from plp_lightning.cli.classes import find_class
-from plp_lightning.cli.layers import Tree, insert
+from plp_lightning.cli.layers import insert
+from plp_lightning.cli.yaml_files import Tree
 
 GROUPS: Mapping[str, Mapping[str, str]] = {
     "data": {"target": "target_task", "held_out": "val_fraction", "mix": "mix_ratio"},

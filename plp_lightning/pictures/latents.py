@@ -21,10 +21,8 @@ from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_rows
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy
 from plp_lightning.pictures.publish import publish
+from plp_lightning.pictures.style import COLOURS, MARKERS
 
-# One a domain, in turn: Okabe and Ito's palette, which the colour-blind can tell apart.
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # https://jfly.uni-koeln.de/color/
-MARKERS = "o^sDvP"  # one a domain, in turn
 LEGEND: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "ncols": 3, "markerscale": 2}
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from datamodules.errors import ConfigError
+from datamodules.words import visible
 
 UNTRAINED_BEFORE = {"cdil"}
 """Methods whose older results tell the success of what was not trained yet as that before adaptation."""
@@ -53,6 +55,14 @@ class Record:
     settings: Mapping[str, Any] | None = None  # that differ from the defaults, by dotted key; None if never recorded
     behaviour: Mapping[str, float] = field(default_factory=dict)  # further measures of the target task's episodes
     held_out: Mapping[str, float] = field(default_factory=dict)  # error of held-out actions, by domain
+    episodes: int | None = None  # of the target task in the target domain
+    commit: str | None = None
+    config_sha256: str | None = None  # of all settings
+    data_sha256: str | None = None
+    file: str = ""  # that tells all this, below the folder that was named
+    note: str = ""  # that was written down beside it
+    phases: tuple[str, ...] = ()  # in the order in which they were trained
+    folder: Path | None = None  # that holds the phases' curves and pictures
 
 
 def read_records(paths: Sequence[Path]) -> list[Record]:
@@ -62,10 +72,10 @@ def read_records(paths: Sequence[Path]) -> list[Record]:
         ConfigError: If a path is missing or holds no results, a file is damaged, two stand for the same run, or runs
             that would be averaged were made with different settings.
     """
-    contents = {file.resolve(): content for path in paths for file, content in _results(path).items()}
+    contents = {file.resolve(): (content, path) for path in paths for file, content in _results(path).items()}
     for file in contents:
         _check_hash(file)
-    records = {file: _record(file, contents[file]) for file in sorted(contents)}
+    records = {file: _record(file, *contents[file]) for file in sorted(contents)}
     found: dict[RunKey, Path] = {}
     for file, record in records.items():
         if found.setdefault(record.run, file) != file:
@@ -112,28 +122,66 @@ def _check_hash(file: Path) -> None:
         raise ConfigError(f"{file}: has changed since the run wrote it; restore it or remove it and resume the run")
 
 
-def _record(file: Path, content: Any) -> Record:
+def _record(file: Path, content: Any, root: Path) -> Record:
     try:
         target = content.get("target")
         errors = content["held_out"] if target is None else content.get("held_out", {})  # older results lack them
-        success, low, high = (None,) * 3 if target is None else map(float, (target["success"], *target["interval"]))
+        success, low, high = (None,) * 3 if target is None else map(_share, (target["success"], *target["interval"]))
         return Record(
             run=_key(content),
             success=success,
             low=low,
             high=high,
             before=None if target is None else _before(content),
-            source=float(content["source"]["success"]) if "source" in content else None,
-            proxy=float(content["proxy"]["success"]) if "proxy" in content else None,
-            alignment={str(name): float(value) for name, value in content["alignment"].items()},
-            seconds=sum(float(value) for name, value in content["seconds"].items() if name != "collection"),
+            source=_share(content["source"]["success"]) if "source" in content else None,
+            proxy=_share(content["proxy"]["success"]) if "proxy" in content else None,
+            alignment=_numbers(content["alignment"]),
+            seconds=sum(_numbers({name: x for name, x in content["seconds"].items() if name != "collection"}).values()),
             settings=None if content.get("settings") is None else dict(content["settings"]),
-            behaviour={name: float(v) for name, v in (target or {}).items() if name not in COUNTED and v is not None},
-            held_out={str(domain): float(error) for domain, error in errors.items()},
+            behaviour=_numbers({name: x for name, x in (target or {}).items() if name not in COUNTED}),
+            held_out=_numbers(errors),
+            episodes=int(target["episodes"]) if target and "episodes" in target else None,
+            commit=_text(content.get("commit")),
+            config_sha256=_text(content.get("config_sha256")),
+            data_sha256=_text(content.get("data_sha256")),
+            file=_shown(file, root),
+            phases=tuple(map(_folder, content.get("phases", ()))),
+            folder=file.parent,
         )
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise ConfigError(f"{file}: not a run's results ({reason}); expected what plp fit wrote") from None
+
+
+def _share(value: Any) -> float:
+    if not 0 <= float(value) <= 1:
+        raise ValueError(f"found {value} for a share")
+    return float(value)
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
+    """Finite numbers by name; names of what could not be measured (null) are left out."""
+    found = {str(name): float(value) for name, value in values.items() if value is not None}
+    if odd := next((name for name, value in found.items() if not math.isfinite(value)), None):
+        raise ValueError(f"found {found[odd]} for {odd!r}")
+    return found
+
+
+def _text(value: Any) -> str | None:
+    return None if value is None else visible(str(value))
+
+
+def _folder(name: Any) -> str:
+    if Path(str(name)).name != name:
+        raise ValueError(f"found {name!r} for a phase")
+    return str(name)
+
+
+def _shown(file: Path, root: Path) -> str:
+    """A file's path from the folder on that was named, whoever calls it from wherever."""
+    root = root.resolve()
+    inside = file.is_relative_to(root) and file != root  # a link may lead out of the folder
+    return visible(str(Path(root.name) / file.relative_to(root)) if inside else file.name)
 
 
 def _key(content: Mapping[str, Any]) -> RunKey:
@@ -146,7 +194,7 @@ def _key(content: Mapping[str, Any]) -> RunKey:
 def _before(content: Mapping[str, Any]) -> float | None:
     older = "settings" not in content and content["method"] in UNTRAINED_BEFORE
     before = content["target"]["before"]
-    return None if before is None or older else float(before)
+    return None if before is None or older else _share(before)
 
 
 def _check_settings(records: Mapping[Path, Record]) -> None:

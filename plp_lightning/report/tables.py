@@ -1,152 +1,184 @@
-"""Records → Markdown and CSV: methods side by side, and every run."""
+"""Tables of a report: success by method, beside a reference's, and what else runs were measured by."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import statistics
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from functools import cache
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 
-import yaml
+from plp_lightning.report.document import NOT_RUN, Cell, Section, Table, cell, row
+from plp_lightning.report.reference import Reference, ReferenceTable
+from plp_lightning.report.summaries import Group, Measure, middle, paired, success, summarise
+from plp_lightning.report.summaries import by_target as runs_by_target
+from plp_lightning.report.words import (
+    ABOVE,
+    BELOW,
+    NONE,
+    NOT_SIMULATED,
+    NOTED,
+    UNRECORDED,
+    difference,
+    disagreement,
+    estimate,
+    interval,
+    number,
+    spread,
+    value,
+)
 
-from plp_lightning.report.records import Record, RunKey
-
-Paper = Mapping[str, Mapping[str, tuple[float, float]]]  # Mean and standard deviation by experiment and method
-COLUMNS = [field.name for field in fields(Record)]
-MEASURES = ("alignment", "behaviour", "held_out")  # Fields whose every entry is a column
-NOT_SIMULATED = "not simulated"  # Where a rate would stand, of domains that are known by demonstrations alone
-MARK = "†"
+KINDS = (
+    "Each ± is a standard deviation: over seeds within a target task (pooled), or over target tasks. A 95 % interval "
+    "is of the mean over runs (stratified bootstrap) where every target task has two seeds or more, else of the share "
+    "of all episodes of these runs (Wilson), which says nothing of other seeds."
+)
 
 
-@cache
-def paper_values() -> Paper:
-    """Success rates that the paper reports, in the order in which its tables are read."""
-    tables = yaml.safe_load((Path(__file__).parent / "paper.yaml").read_text(encoding="utf-8"))
-    return {
-        experiment: {name: (x, std) for name, (x, std) in methods.items()} for experiment, methods in tables.items()
-    }
+def success_rates(groups: Sequence[Group], compared: Reference) -> Section:
+    """Every method on every experiment, beside the reference where that says something of one of them."""
+    known = any(compared.value(group.experiment, group.method) for group in groups)
+    header = ["experiment", "method", "runs", "success", "95 % interval", "before adaptation", *[compared.name] * known]
+    rows = [_success_row(group, compared, known) for group in groups]
+    text = "Target task in the target domain, mean over runs."
+    return Section("Success rates", [text, KINDS], [Table(header, rows)], notes=_legend(groups, compared, known))
 
 
-def markdown(records: Sequence[Record]) -> str:
-    """The report: methods by the mean over their runs, methods on the same target task and seed, and every run."""
-    ordered = sorted(records, key=_rank)
-    header = ["experiment", "method", "runs", "success", "before adaptation", "the paper"]
-    unknown = any(record.settings is None for record in records)
-    return "\n".join(
+def _success_row(group: Group, compared: Reference, known: bool) -> list[Cell]:
+    found, beside = group.summary(), compared.value(group.experiment, group.method)
+    rates = [NOT_SIMULATED, NONE] if found is None else [spread(found), interval(found.interval, found.kind)]
+    mark = disagreement(found, beside, compared.runs)
+    numbers = [_count(group), *rates, spread(group.summary(lambda run: run.before))]
+    numbers += [f"{value(beside)} {mark}".rstrip()] * known
+    return [*row(group.experiment, group.method), *row(*numbers, runs=group.anchor)]
+
+
+def _count(group: Group, of: str = "") -> str:
+    marks = UNRECORDED * (not group.recorded) + NOTED * any(run.note for run in group.records)
+    return f"{len(group.records)}{of} {marks}".rstrip()
+
+
+def _legend(groups: Sequence[Group], compared: Reference, known: bool) -> list[str]:
+    unrecorded = any(not group.recorded for group in groups)
+    noted = any(run.note for group in groups for run in group.records)
+    behind = f" (of {compared.runs} runs, Student's t)" if compared.runs else ""
+    return [
+        *[f"{UNRECORDED} settings not recorded: these results are older than that record."] * unrecorded,
+        *[f"{NOTED} there is something to be said of these runs: see their notes below."] * noted,
+        *[f"{ABOVE} above, {BELOW} below: its 95 % interval{behind} and ours share no value."] * known,
+        *[f"{compared.name[:1].upper()}{compared.name[1:]}: {compared.source}."] * (known and bool(compared.source)),
+    ]
+
+
+def reference_tables(groups: Sequence[Group], compared: Reference) -> list[Section]:
+    """The reference's own tables, from runs; none if no run is of its experiments."""
+    if not {group.experiment for group in groups} & {*compared.values}:
+        return []
+    return [_reference_table(groups, compared, table) for table in compared.tables]
+
+
+def _reference_table(groups: Sequence[Group], compared: Reference, table: ReferenceTable) -> Section:
+    cells: dict[tuple[str, str], list[Group]] = defaultdict(list)
+    for group in groups:
+        cells[group.experiment, group.method].append(group)
+    rows = [
         [
-            *("# Success rates", ""),
-            *("Target task in the target domain, mean ± standard deviation over runs.", ""),
-            *(*_rows(header, _methods(ordered)), ""),
-            *([f"{MARK} settings not recorded: these results are older than that record.", ""] if unknown else []),
-            *_side_by_side(ordered),
-            *("## Runs", "", "Success with its 95 % interval; alignment scores on proxy tasks.", ""),
-            *(*_runs(ordered), ""),
+            cell(experiment),
+            *(_compared(cells[experiment, name], compared, table, (experiment, name)) for name in table.methods),
         ]
+        for experiment in table.experiments
+    ]
+    text = (
+        f"In each cell: what was measured, its 95 % interval and number of runs, and below it {compared.name}'s value."
+    )
+    return Section(
+        table.title, [text], [Table(["experiment", *table.methods], rows)], notes=[table.note] * bool(table.note)
     )
 
 
-def comma_separated(records: Sequence[Record]) -> str:
-    """A line a run; columns are the fields of :class:`RunKey` and :class:`Record`, and all scores and measures."""
-    measures = [(field, name) for field in MEASURES for name in sorted(_names(records, field))]
-    plain = [name for name in COLUMNS if name not in ("run", *MEASURES, "settings")]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*RunKey._fields, *plain, *(_column(*measure) for measure in measures), "settings"])
-    for record in sorted(records, key=_rank):
-        cells = [*record.run, *(getattr(record, name) for name in plain)]
-        cells += [getattr(record, field).get(name) for field, name in measures]
-        settings = "not recorded" if record.settings is None else json.dumps(record.settings)
-        writer.writerow([*cells, settings])
-    return text.getvalue()
+def _compared(groups: Sequence[Group], compared: Reference, table: ReferenceTable, names: tuple[str, str]) -> Cell:
+    beside, lines = compared.value(*names, table), list[str]()
+    mark = ""
+    for group in groups:
+        if (found := group.summary()) is not None:
+            mark = mark or disagreement(found, beside, compared.runs)
+            counted = _count(group, " run" if len(group.records) == 1 else " runs")
+            lines += [spread(found), interval(found.interval, found.kind), counted]
+    told = [f"{compared.name}: {value(beside)} {mark}".rstrip()] if beside else []
+    return cell(*(lines or [NOT_RUN]), *told, runs=groups[0].anchor if groups else "")
 
 
-def _column(field: str, name: str) -> str:
-    return f"error_{name}" if field == "held_out" else name
-
-
-def _names(records: Sequence[Record], field: str) -> set[str]:
-    return {name for record in records for name in getattr(record, field)}
-
-
-def _rank(record: Record) -> tuple[int, str, int, str, str, int]:
-    """Order of the paper; names that it doesn't know come last."""
-    experiment, method, target, seed = record.run
-    places = (*_place(experiment, [*paper_values()]), *_place(method, [*paper_values().get(experiment, {})]))
-    return (*places, target, seed)
-
-
-def _place(name: str, order: Sequence[str]) -> tuple[int, str]:
-    return (order.index(name) if name in order else len(order), name)
-
-
-def _methods(ordered: Sequence[Record]) -> list[list[str]]:
-    groups: dict[tuple[str, str, str], list[Record]] = defaultdict(list)
-    for record in ordered:
-        groups[record.run.experiment, record.run.method, f" {MARK}" if record.settings is None else ""].append(record)
-    rows = []
-    for (experiment, method, mark), group in groups.items():
-        paper = paper_values().get(experiment, {}).get(method)
-        before = [record.before for record in group if record.before is not None]
-        success = [record.success for record in group if record.success is not None]
-        found = [_spread(success) if success else NOT_SIMULATED, _spread(before), _pair(paper)]
-        rows.append([experiment, method, f"{len(group)}{mark}", *found])
-    return rows
-
-
-def _side_by_side(ordered: Sequence[Record]) -> list[str]:
-    """A section with a row for each target task and seed that several methods were run on; empty without one."""
-    groups: dict[tuple[str, str, str], dict[str, float]] = defaultdict(dict)
-    for record in ordered:
-        if record.success is not None:
-            groups[record.run.experiment, record.run.target, str(record.run.seed)][record.run.method] = record.success
-    shared = {names: rates for names, rates in groups.items() if len(rates) > 1}
-    if not shared:
+def interquartile_means(groups: Sequence[Group]) -> list[Section]:
+    """Interquartile means of groups with two seeds or more of every target task, and over all their experiments."""
+    repeated = [group for group in groups if (found := group.summary()) and found.middle]
+    if not repeated:
         return []
-    order = [*dict.fromkeys(name for methods in paper_values().values() for name in methods)]
-    methods = sorted({name for rates in shared.values() for name in rates}, key=lambda name: _place(name, order))
-    rows = [[*names, *(_rate(rates.get(method)) for method in methods)] for names, rates in shared.items()]
-    table = _rows(["experiment", "target", "seed", *methods], rows)
-    return ["## Side by side", "", "Methods on the same target task and seed.", "", *table, ""]
+    rows = []
+    for group in repeated:
+        found = group.summary()
+        assert found is not None
+        numbers = [str(found.runs), estimate(found.middle), f"{number(found.mean)} ({interval(found.interval)})"]
+        rows.append([*row(group.experiment, group.method), *row(*numbers, runs=group.anchor)])
+    text = "Mean of the middle half of all runs, and mean of all, with 95 % intervals of the stratified bootstrap."
+    header = ["experiment", "method", "runs", "interquartile mean", "mean"]
+    return [Section("Over seeds", [text], [Table(header, [*rows, *_over_all(repeated)])])]
 
 
-def _spread(rates: Sequence[float]) -> str:
-    if len(rates) > 1:
-        return _pair((statistics.mean(rates), statistics.stdev(rates)))
-    return _rate(rates[0] if rates else None)
+def _over_all(groups: Sequence[Group]) -> Iterator[list[Cell]]:
+    """A row for each method that was run on all of several experiments."""
+    experiments = dict.fromkeys(group.experiment for group in groups)
+    for method in dict.fromkeys(group.method for group in groups):
+        own = [group for group in groups if group.method == method and group.recorded]
+        if len(experiments) > 1 and len({group.experiment for group in own}) == len(experiments):
+            records = [record for group in own for record in group.records]
+            found = summarise(records)
+            assert found is not None
+            numbers = [str(found.runs), estimate(middle(runs_by_target(records, success)))]
+            yield row("all of these", method, *numbers, f"{number(found.mean)} ({interval(found.interval)})")
 
 
-def _pair(values: tuple[float, float] | None) -> str:
-    return "–" if values is None else f"{values[0]:.2f} ± {values[1]:.2f}"
+def differences(groups: Sequence[Group]) -> list[Section]:
+    """Each method against the first of its experiment, on the same target tasks and seeds."""
+    first: dict[tuple[str, bool], Group] = {}
+    rows = []
+    for group in groups:
+        base = first.setdefault((group.experiment, group.recorded), group)
+        if base is not group and (found := paired(group.records, base.records)):
+            names = row(group.experiment, f"{group.method} − {base.method}")
+            rows.append([*names, *row(str(found[0]), difference(found[1]), runs=group.anchor)])
+    text = "Mean difference of success over runs with the same target task and seed, with Student's 95 % interval."
+    table = Table(["experiment", "methods", "pairs", "difference"], rows)
+    return [Section("Differences", [text], [table])] if rows else []
 
 
-def _rate(rate: float | None) -> str:
-    return "–" if rate is None else f"{rate:.2f}"
+def side_by_side(groups: Sequence[Group], compared: Reference) -> list[Section]:
+    """A row for each target task and seed that several methods were run on; none without one."""
+    rates: dict[tuple[str, str, str], dict[str, Cell]] = defaultdict(dict)
+    for group in groups:
+        for run in group.records:
+            if run.success is not None:
+                names = (group.experiment, run.run.target, str(run.run.seed))
+                rates[names][group.method] = cell(number(run.success), runs=group.anchor)
+    shared = {names: found for names, found in rates.items() if len(found) > 1}
+    order = dict.fromkeys([*compared.methods(), *sorted(group.method for group in groups)])
+    methods = [name for name in order if any(name in found for found in shared.values())]
+    rows = [[*row(*names), *(found.get(name, cell(NONE)) for name in methods)] for names, found in shared.items()]
+    table = Table(["experiment", "target", "seed", *methods], rows)
+    return [Section("Side by side", ["Methods on the same target task and seed."], [table])] if rows else []
 
 
-def _runs(ordered: Sequence[Record]) -> list[str]:
-    header = ["experiment", "method", "target", "seed", "success", "before", "source", "proxies", "alignment"]
-    further = {"behaviour": "behaviour", "held_out": "error of held-out actions"}
-    shown = {field: title for field, title in further.items() if _names(ordered, field)}
-    return _rows([*header, *shown.values()], [_run(record, [*shown]) for record in ordered])
+def measured(groups: Sequence[Group], field: str, title: str, text: str, digits: int = 2) -> list[Section]:
+    """Means of all numbers of a field of the records; none if no run has any."""
+    names = sorted({name for group in groups for run in group.records for name in getattr(run, field)})
+    rows = []
+    for group in groups:
+        found = [group.summary(_entry(field, name)) for name in names]
+        if any(found):
+            numbers = [str(len(group.records)), *(spread(summary, digits) for summary in found)]
+            rows.append([*row(group.experiment, group.method), *row(*numbers, runs=group.anchor)])
+    return [Section(title, [text], [Table(["experiment", "method", "runs", *names], rows)])] if names else []
 
 
-def _run(record: Record, measures: Sequence[str]) -> list[str]:
-    success = NOT_SIMULATED
-    if record.success is not None:
-        success = f"{record.success:.2f} ({record.low:.2f} – {record.high:.2f})"
-    others = [_rate(rate) for rate in (record.before, record.source, record.proxy)]
-    digits = [(field, 4 if field == "held_out" else 2) for field in ("alignment", *measures)]
-    return [*map(str, record.run), success, *others, *(_named(getattr(record, field), n) for field, n in digits)]
+def _entry(field: str, name: str) -> Measure:
+    def entry(run: object) -> float | None:
+        numbers: Mapping[str, float] = getattr(run, field)
+        return numbers.get(name)
 
-
-def _named(values: Mapping[str, float], digits: int) -> str:
-    return ", ".join(f"{name} {value:.{digits}f}" for name, value in values.items()) or "–"
-
-
-def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *rows)]
+    return entry

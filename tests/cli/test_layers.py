@@ -12,7 +12,8 @@ from command import ROOT, SMOKE
 from datamodules.errors import ConfigError
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.config import parse, resolve
-from plp_lightning.cli.layers import completed, insert, overlay, read_yaml, without_spare_parts
+from plp_lightning.cli.layers import completed, insert, overlay, without_spare_parts
+from plp_lightning.cli.yaml_files import read_yaml
 
 SPARE = ("mmd", "tcc", "adversarial")
 
