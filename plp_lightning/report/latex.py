@@ -11,7 +11,7 @@ LONGEST = 30  # Rows of a table on one page
 SPECIAL = {
     **{letter: f"\\{letter}" for letter in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
-    **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}"},
+    **{"<": r"$<$", ">": r"$>$", "|": r"$|$", '"': "''"},
     **{"±": r"$\pm$", "–": "--", "−": "$-$", "†": r"\dag{}", "‡": r"\ddag{}", "λ": r"$\lambda$"},
     **{
         "▲": r"$\blacktriangle$",
@@ -25,7 +25,6 @@ SPECIAL = {
 """LaTeX's own letters, and ours that its plain fonts lack."""
 PREAMBLE = r"""% Compile as it is, or take tables out of it. Names in other scripts want lualatex and a font of theirs.
 \documentclass{article}
-\usepackage[T1]{fontenc}
 \usepackage[utf8]{inputenc}
 \usepackage{amssymb,booktabs,graphicx,longtable}
 \usepackage[margin=2cm,landscape]{geometry}

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from datamodules.words import one_line
 from plp_lightning.report.document import NOT_RUN, Cell, Figure, Section, Table
 
-SPECIAL = re.compile(r"[\\`*\[\]|~$#!]|(?<!\w)_|_(?!\w)")  # an underscore inside a word is none of Markdown's
+SPECIAL = re.compile(r"[\\`*\[\]|~$#!]|(?<![^\W_])_|_(?![^\W_])")  # an underscore inside a word is none of Markdown's
 
 
 def markdown(title: str, sections: Sequence[Section]) -> str:

@@ -30,6 +30,7 @@ KINDS = (
     "is of the mean over runs (stratified bootstrap) where every target task has two seeds or more, else of the share "
     "of all episodes of these runs (Wilson), which says nothing of other seeds."
 )
+ONE_KIND = "ours of episodes alone may differ by the seed"
 
 
 def success_rates(groups: Sequence[Group], compared: Reference) -> Section:
@@ -62,7 +63,7 @@ def _legend(groups: Sequence[Group], compared: Reference, known: bool) -> list[s
     return [
         *[f"{UNRECORDED} settings not recorded: these results are older than that record."] * unrecorded,
         *[f"{NOTED} there is something to be said of these runs: see their notes below."] * noted,
-        *[f"{ABOVE} above, {BELOW} below: its 95 % interval{behind} and ours share no value."] * known,
+        *[f"{ABOVE} above, {BELOW} below: its 95 % interval{behind} and ours share no value; {ONE_KIND}."] * known,
         *[f"{compared.name[:1].upper()}{compared.name[1:]}: {compared.source}."] * (known and bool(compared.source)),
     ]
 
