@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from plp_lightning.pictures.style import GREY, LOOK, colour, hatch
 from plp_lightning.report.document import Image
 
 DPI = 144
+LONGEST = 28  # Letters of a name that are drawn
 COLUMNS = 3  # Panels side by side
 WIDTH, BAR_HEIGHT, HEAD_HEIGHT = 10.0, 0.22, 0.55  # Of a figure, of a bar, and of a panel's title and axis, in inches
 
@@ -30,9 +32,11 @@ def look() -> AbstractContextManager[None]:
 def drawn(figure: Figure, name: str, caption: str, runs: str = "") -> Image:
     """An image of a figure; to be called within :func:`look`."""
     png, pdf = io.BytesIO(), io.BytesIO()
-    FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})  # no version: the same bytes each time
-    figure.set_canvas(FigureCanvasPdf(figure))
-    figure.savefig(pdf, format="pdf", metadata={"CreationDate": None, "Producer": None, "Creator": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a box stands for what the font lacks
+        FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})  # no version: the same bytes each time
+        figure.set_canvas(FigureCanvasPdf(figure))
+        figure.savefig(pdf, format="pdf", metadata={"CreationDate": None, "Producer": None, "Creator": None})
     return Image(name, caption, png.getvalue(), round(96 * figure.get_figwidth()), pdf.getvalue(), runs)
 
 
@@ -96,5 +100,5 @@ def _legend(figure: Figure, beside: str) -> None:
 
 
 def plain(text: str) -> str:
-    """A text that matplotlib draws as it is: a dollar sign begins no formula."""
-    return text.replace("$", r"\$")
+    """A text that matplotlib draws as it is, shortened: a dollar sign begins no formula."""
+    return (text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…").replace("$", r"\$")

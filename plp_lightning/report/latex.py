@@ -8,25 +8,25 @@ from datamodules.words import one_line
 from plp_lightning.report.document import NOT_RUN, Cell, Figure, Section, Table
 
 LONGEST = 30  # Rows of a table on one page
+WIDE = 40  # Letters of a cell from which on its column breaks lines
+MATHS = {
+    **{"±": r"\pm", "−": "-", "·": r"\cdot", "×": r"\times", "→": r"\to", "≤": r"\leq", "≥": r"\geq", "≈": r"\approx"},
+    **{"▲": r"\blacktriangle", "▼": r"\blacktriangledown", "<": "<", ">": ">", "|": "|", "∞": r"\infty"},
+    **{"α": r"\alpha", "β": r"\beta", "γ": r"\gamma", "δ": r"\delta", "ε": r"\epsilon", "η": r"\eta", "θ": r"\theta"},
+    **{"λ": r"\lambda", "μ": r"\mu", "π": r"\pi", "ρ": r"\rho", "σ": r"\sigma", "τ": r"\tau", "φ": r"\phi"},
+    **{"ψ": r"\psi", "ω": r"\omega"},
+}
 SPECIAL = {
+    **{letter: f"${command}$" for letter, command in MATHS.items()},
     **{letter: f"\\{letter}" for letter in "&%$#_{}"},
-    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
-    **{"<": r"$<$", ">": r"$>$", "|": r"$|$", '"': "''"},
-    **{"±": r"$\pm$", "–": "--", "−": "$-$", "†": r"\dag{}", "‡": r"\ddag{}", "λ": r"$\lambda$"},
-    **{
-        "▲": r"$\blacktriangle$",
-        "▼": r"$\blacktriangledown$",
-        "·": r"$\cdot$",
-        "×": r"$\times$",
-        "[": "{[}",
-        "]": "{]}",
-    },
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", '"': "''", "…": r"\dots{}"},
+    **{"–": "--", "†": r"\dag{}", "‡": r"\ddag{}", "[": "{[}", "]": "{]}"},
 }
 """LaTeX's own letters, and ours that its plain fonts lack."""
 PREAMBLE = r"""% Compile as it is, or take tables out of it. Names in other scripts want lualatex and a font of theirs.
 \documentclass{article}
 \usepackage[utf8]{inputenc}
-\usepackage{amssymb,booktabs,graphicx,longtable}
+\usepackage{amssymb,array,booktabs,graphicx,longtable}
 \usepackage[margin=2cm,landscape]{geometry}
 """
 
@@ -34,7 +34,9 @@ PREAMBLE = r"""% Compile as it is, or take tables out of it. Names in other scri
 def latex(title: str, sections: Sequence[Section]) -> str:
     """The whole report; its images are in ``figures/`` beside it."""
     body = (line for section in sections for line in _section(section))
-    return "\n".join([PREAMBLE, r"\begin{document}", rf"\title{{{escaped(title)}}}", *body, r"\end{document}", ""])
+    return "\n".join(
+        [PREAMBLE, r"\begin{document}", rf"\section*{{\Large {escaped(title)}}}", *body, r"\end{document}", ""]
+    )
 
 
 def escaped(text: str) -> str:
@@ -62,11 +64,21 @@ def _section(section: Section) -> Iterator[str]:
 def _table(table: Table) -> Iterator[str]:
     kind = "tabular" if len(table.rows) <= LONGEST else "longtable"
     header = [escaped(title) for title in table.header[: table.narrow]]
-    yield from ([r"\begin{center}", r"\small"] if kind == "tabular" else [r"{\small"])
-    yield rf"\begin{{{kind}}}{{{'l' * len(header)}}}"
+    yield from ([r"\begin{center}", r"\footnotesize"] if kind == "tabular" else [r"{\scriptsize"])
+    yield rf"\begin{{{kind}}}{{{''.join(_columns(table))}}}"
     yield from (r"\toprule", _row(header), r"\midrule", *([r"\endhead"] if kind == "longtable" else []))
-    yield from (_row([_cell(cell) for cell in cells[: table.narrow]]) for cells in table.rows)
+    for cells in table.rows:
+        yield _row([_cell(cell) for cell in cells[: table.narrow]])
+        yield from [r"\addlinespace"] * any(len(cell.lines) > 1 for cell in cells[: table.narrow])
     yield from (r"\bottomrule", rf"\end{{{kind}}}", r"\end{center}" if kind == "tabular" else "}", "")
+
+
+def _columns(table: Table) -> Iterator[str]:
+    """Kind of each column: as wide as its longest text, or one that breaks lines."""
+    for i in range(len(table.header[: table.narrow])):
+        lines = [line for cells in table.rows for line in cells[i].lines]
+        breaks = any(len(line) > WIDE and " " in line for line in lines)
+        yield r">{\raggedright\arraybackslash}p{4cm}" if breaks else "l"
 
 
 def _row(cells: Sequence[str]) -> str:
@@ -75,7 +87,7 @@ def _row(cells: Sequence[str]) -> str:
 
 def _cell(cell: Cell) -> str:
     lines = [*map(escaped, cell.lines)]
-    return lines[0] if len(lines) == 1 else r"\shortstack[l]{" + r" \\ ".join(lines) + "}"
+    return lines[0] if len(lines) == 1 else r"\begin{tabular}[t]{@{}l@{}}" + r" \\ ".join(lines) + r"\end{tabular}"
 
 
 def _figure(figure: Figure) -> Iterator[str]:

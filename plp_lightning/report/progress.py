@@ -20,6 +20,7 @@ from plp_lightning.runs.curves import read_rows
 
 SUCCESS = {"eval/target_success": "target domain", "eval/source_success": "source domain"}
 SCORE = "alignment/"
+MOST_EPOCHS = 1e9
 Curve = list[tuple[float, float]]  # Epochs that are done, and the value
 Tell = Callable[[str], None]
 
@@ -52,12 +53,12 @@ def _course(run: Record, tell: Tell) -> Course:
     """Curves of a run that has some left; whatever is damaged is told and left away."""
     curves: dict[str, Curve] = {}
     begins, done = list[float](), 0.0
-    for phase in run.phases if run.folder else ():
+    for file in [run.folder / phase / "metrics.csv" for phase in run.phases] if run.folder else ():
+        begins.append(done)
         try:
-            begins.append(done)
-            done = _add(curves, read_rows(run.folder / phase / "metrics.csv"), done)  # type: ignore[operator]
+            done = _add(curves, read_rows(file), done)
         except (ConfigError, OSError, ValueError) as error:
-            tell(f"{error}; its curves are left away")
+            tell(f"{error if isinstance(error, ConfigError) else f'{file}: {error}'}; its curves are left away")
             return Course({}, [])
     ends = {"eval/target_success": (run.before, run.success), "eval/source_success": (None, run.source)}
     for name, (before, after) in ends.items() if done else ():
@@ -69,11 +70,17 @@ def _course(run: Record, tell: Tell) -> Course:
 
 def _add(curves: dict[str, Curve], rows: Sequence[Sequence[str]], before: float) -> float:
     """Lengthen curves by a phase's rows; gives the epochs that are done after it."""
-    epochs = {int(step): float(value) for step, name, value in rows if name == "epoch"}
+    epochs = {int(step): _epoch(value) for step, name, value in rows if name == "epoch"}
     for step, name, value in rows:
         if (name in SUCCESS or name.startswith(SCORE)) and int(step) in epochs:
             curves.setdefault(name, []).append((before + epochs[int(step)] + 1, float(value)))
     return before + max(epochs.values(), default=-1) + 1
+
+
+def _epoch(text: str) -> float:
+    if not 0 <= float(text) < MOST_EPOCHS:
+        raise ValueError(f"found epoch {text}")
+    return float(text)
 
 
 def _image(experiment: str, courses: dict[Group, list[Course]]) -> Image:

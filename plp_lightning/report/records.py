@@ -90,7 +90,8 @@ def _results(path: Path) -> dict[Path, Any]:
         raise ConfigError(f"{path}: no such file or folder; expected run directories, such as runs")
     if path.is_file():
         return {path: _read(path)}
-    contents = {file: _read(file) if file.name == RESULTS else _read_other(file) for file in path.rglob("*.json")}
+    files = [file for file in path.rglob("*.json") if file.is_file()]
+    contents = {file: _read(file) if file.name == RESULTS else _read_other(file) for file in files}
     keys = {"experiment", "method", "target_task", "alignment"}
     results = {file: content for file, content in contents.items() if isinstance(content, dict) and keys <= {*content}}
     if not results:
@@ -172,7 +173,7 @@ def _text(value: Any) -> str | None:
 
 
 def _folder(name: Any) -> str:
-    if Path(str(name)).name != name:
+    if name == ".." or not name or Path(str(name)).name != name:
         raise ValueError(f"found {name!r} for a phase")
     return str(name)
 

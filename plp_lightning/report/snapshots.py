@@ -45,7 +45,13 @@ def _files(group: Group) -> list[Path]:
     """The newest picture of each kind in the folders of a group's first run."""
     first = group.records[0]
     folders = [first.folder / phase for phase in first.phases] if first.folder else []
-    files = {file.stem: file for folder in folders if folder.is_dir() for file in sorted(folder.glob("*.png"))}
+    files = {
+        file.stem: file
+        for folder in folders
+        if folder.is_dir()
+        for file in sorted(folder.glob("*.png"))
+        if file.is_file()
+    }
     return [*files.values()]
 
 

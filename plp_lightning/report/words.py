@@ -21,7 +21,7 @@ def number(value: float | None, digits: int = 2) -> str:
 
 def signed(value: float) -> str:
     """A difference with its sign; none is without one."""
-    return f"{value:+.2f}" if round(value, 2) else "0.00"
+    return f"{value:+.2f}".replace("-", "−") if round(value, 2) else "0.00"
 
 
 def spread(summary: Summary | None, digits: int = 2) -> str:

@@ -161,7 +161,7 @@ def test_differences_are_of_pairs_alone():
     alone = [record("gama", success=0.9, seed=1), record("cdil", success=0.9, seed=7)]
     assert section("Differences", *runs, *alone) == [
         "| r2r | gama − plp | 1 | +0.20 |",
-        "| r2r | bc − plp | 2 | -0.30 (-1.57 – +0.97) |",
+        "| r2r | bc − plp | 2 | −0.30 (−1.57 – +0.97) |",
     ]
     assert "## Differences" not in lines(record(), record("bc", seed=1))
 
