@@ -73,6 +73,7 @@ LIGHT = (
     "plp_lightning",
     "plp_lightning.cli.main",
     "plp_lightning.cli.data",
+    "plp_lightning.cli.report",
     "datamodules.store.writer",
     "plp_lightning.runs.collection",
 )

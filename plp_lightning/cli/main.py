@@ -24,7 +24,7 @@ VERBS = {
     "predict": ("plp_lightning.cli.assessing:run_predict", "actions of a run's policy on held-out trajectories"),
     "rollout": ("plp_lightning.cli.rollout:run_rollout", "films of a run's policy, failures first"),
     "export": ("plp_lightning.cli.export:run_export", "a run's policy in a file of its own: ONNX, torch, safetensors"),
-    "report": ("plp_lightning.cli.report:run_report", "success rates of many runs beside the paper's"),
+    "report": ("plp_lightning.cli.report:run_report", "tables and figures of many runs, beside the paper's values"),
     "data": ("plp_lightning.cli.data:run_data", "inspect, validate or import trajectory files"),
     "doctor": ("plp_lightning.cli.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
 }

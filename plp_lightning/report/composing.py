@@ -22,7 +22,7 @@ from plp_lightning.report.tables import (
     success_rates,
 )
 
-TITLE = "Success rates"
+TITLE = "Report"
 Tell = Callable[[str], None]
 
 
