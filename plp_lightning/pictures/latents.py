@@ -20,6 +20,7 @@ from plp_lightning.envs.views import Arranged
 from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_rows
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy
+from plp_lightning.pictures.neighbours import neighbour_figure, seen_images
 from plp_lightning.pictures.publish import publish
 from plp_lightning.pictures.style import COLOURS, MARKERS
 
@@ -31,7 +32,8 @@ class LatentPicture(Callback):
 
     As in the paper (Figure 3), lines join states of source and target domain that correspond. The target task in
     the target domain is never read. Where a simulator tells how an episode is arranged, the same points are also
-    coloured by that: whether latent states know it decides whether a task can be adapted to.
+    coloured by that: whether latent states know it decides whether a task can be adapted to. Where both domains have
+    cameras, states that are each other's nearest are drawn too (``neighbours.png``).
 
     Args:
         samples: States of each domain.
@@ -66,6 +68,10 @@ class LatentPicture(Callback):
         latents = {d: encode(policy, d, states).numpy() for d, states in seen.items()}
         kinds = {d: self._arrangements(data, d, chosen) for d, chosen in rows.items()}
         publish(trainer, "latents", latent_figure(latents, self._joined(policy, data), kinds))
+        order = [data.source_domain, data.target_domain]
+        nearest = neighbour_figure({d: latents[d] for d in order if d in latents}, seen_images(seen))
+        if nearest is not None:
+            publish(trainer, "neighbours", nearest)
 
     def _arrangements(self, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[str]:
         """Arrangement of each row's episode; empty if the simulator knows of none."""
