@@ -32,6 +32,7 @@ STUDIES = {
 NUMBERED = re.compile(r"(?P<of>\w+?)_(?P<varied>[a-z]+)_(?P<number>\d+(?:\.\d+)?)")
 """Names of a study's methods and experiments: ``plp_t_goals_5``, ``p2p_medium_sources_2``."""
 Points = Mapping[float, Group]
+Line = tuple[str, str]  # Method and experiment, without what is numbered
 
 
 def success_chart(groups: Sequence[Group], compared: Reference) -> list[Figure]:
@@ -80,23 +81,36 @@ def _panels(groups: Sequence[Group], measure: Measure, beside: Callable[[Group],
 
 def study_charts(groups: Sequence[Group], wanted: bool) -> list[Figure]:
     """A figure for each study: success over what names of methods or experiments number."""
-    found: dict[str, dict[str, dict[float, Group]]] = defaultdict(lambda: defaultdict(dict))
+    found: dict[str, dict[Line, dict[float, Group]]] = defaultdict(lambda: defaultdict(dict))
     for group in groups:
-        for varied, of, number in _numbered(group):
-            found[varied][of][number] = group
-    studies = {
-        varied: {of: points for of, points in lines.items() if len(points) > 1} for varied, lines in found.items()
-    }
+        for varied, line_of, number in _numbered(group):
+            found[varied][line_of][number] = group
+    studies = {varied: _lines(points) for varied, points in found.items()}
     known = {varied: lines for varied, lines in studies.items() if lines}
     order = [*(name for name in STUDIES if wanted or name in known), *sorted({*known} - {*STUDIES})]
     return [_study_chart(name, known.get(name, {})) for name in order]
 
 
-def _numbered(group: Group) -> list[tuple[str, str, float]]:
+def _lines(points: Mapping[Line, Points]) -> dict[str, Points]:
+    """Lines of two points or more; a point alone belongs to every variant of its method on its experiment."""
+    alone = {line_of: own for line_of, own in points.items() if len(own) == 1}
+    lines = {}
+    for (method, experiment), own in points.items():
+        shared = [p for (m, e), p in alone.items() if e == experiment and method.startswith(f"{m}_")]
+        joined = {number: group for part in (*shared, own) for number, group in part.items()}
+        if len(joined) > 1:
+            lines[f"{method} on {experiment}"] = joined
+    return lines
+
+
+def _numbered(group: Group) -> list[tuple[str, Line, float]]:
     """What a group's names number, of what, and the number."""
-    named = [(group.method, "{} on " + group.experiment), (group.experiment, group.method + " on {}")]
-    matches = [(NUMBERED.fullmatch(name), of) for name, of in named]
-    return [(m["varied"], of.replace("{}", m["of"], 1), float(m["number"])) for m, of in matches if m]
+    found = []
+    if match := NUMBERED.fullmatch(group.method):
+        found.append((match["varied"], (match["of"], group.experiment), float(match["number"])))
+    if match := NUMBERED.fullmatch(group.experiment):
+        found.append((match["varied"], (group.method, match["of"]), float(match["number"])))
+    return found
 
 
 def _study_chart(name: str, lines: Mapping[str, Points]) -> Figure:

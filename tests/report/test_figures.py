@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from samples import RESULT, add_run
 from test_tables import record
 
 from datamodules.errors import ConfigError
-from plp_lightning.report.charts import study_charts
+from plp_lightning.report.charts import _lines, _numbered, study_charts
 from plp_lightning.report.composing import figure_section
 from plp_lightning.report.progress import _course, progress_charts
 from plp_lightning.report.records import read_records
@@ -50,6 +51,22 @@ def test_studies_are_found_by_the_numbers_in_names() -> None:
         "Number of source domains": True,
         "Weight of MMD": True,
         "width": True,
+    }
+
+
+def test_one_source_is_the_first_point_of_every_way_to_add_more() -> None:
+    runs = [record("plp_t_sources_1", experiment="p2p_medium"), record("bc_sources_1", experiment="p2a_medium")]
+    runs += [
+        record(f"plp_t_{way}", experiment=f"p2p_medium_sources_{n}") for way in ("growing", "fixed") for n in (2, 3)
+    ]
+    points = defaultdict(dict)
+    for group in groups_of(runs, paper()):
+        for _, line, number in _numbered(group):
+            points[line][number] = group
+    lines = _lines(points)
+    assert {name: sorted(found) for name, found in lines.items()} == {
+        "plp_t_growing on p2p_medium": [1, 2, 3],
+        "plp_t_fixed on p2p_medium": [1, 2, 3],
     }
 
 
