@@ -94,7 +94,7 @@ def study_charts(groups: Sequence[Group], wanted: bool) -> list[Figure]:
 def _lines(points: Mapping[Line, Points]) -> dict[str, Points]:
     """Lines of two points or more; a point alone belongs to every variant of its method on its experiment."""
     alone = {line_of: own for line_of, own in points.items() if len(own) == 1}
-    lines = {}
+    lines: dict[str, Points] = {}
     for (method, experiment), own in points.items():
         shared = [p for (m, e), p in alone.items() if e == experiment and method.startswith(f"{m}_")]
         joined = {number: group for part in (*shared, own) for number, group in part.items()}
