@@ -14,13 +14,14 @@ from plp_lightning.evaluation.held_out import held_out_errors
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
+from plp_lightning.runs.board import Progress, log_end
 from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.devices import device_name, on_device
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.records import file_hash, record_hash
-from plp_lightning.runs.results import log_hyperparameters, write_results
+from plp_lightning.runs.results import write_results
 from plp_lightning.runs.resumption import check_done, resumption, weights_before
 from plp_lightning.runs.specs import check_checkpoint
 from plp_lightning.runs.stopwatch import Stopwatch
@@ -64,8 +65,10 @@ def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pa
             phase, datamodule=experiment.data, ckpt_path=resumed.checkpoint if resumed else None, weights_only=True
         )
         record = assess(experiment, phase, trainer)
-        log_hyperparameters(trainer, experiment, record)
-    _note_done(run, name, record | {"device": device_name(trainer.strategy.root_device)})
+        last = [*(run.status().get("wanted") or experiment.method.phases)][-1] == name
+        log_end(trainer, experiment, record, last)
+    made = {**Progress.of(trainer)._asdict(), "device": device_name(trainer.strategy.root_device)}
+    _note_done(run, name, record | made)
 
 
 def _note_done(run: RunDirectory, name: str, record: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Results of a run: ``results.json``, the table on the screen, and TensorBoard's hyperparameter page."""
+"""Results of a run: ``results.json``, and the table on the screen."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from dataclasses import fields
 from typing import Any
 
 import yaml
-from lightning.pytorch import Trainer
-from lightning.pytorch.loggers import TensorBoardLogger
 from rich.console import Console
 from rich.table import Table
 
@@ -110,35 +108,3 @@ def _cells(outcome: Mapping[str, Any]) -> list[str]:
 
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
-
-
-def log_hyperparameters(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any]) -> None:
-    """Writes settings and final outcomes for TensorBoard's HPARAMS page, first what tells this run from others."""
-    resolved = yaml.safe_load(experiment.config)
-    names: dict[str, Any] = {"experiment": experiment.name, "method": experiment.method.name}
-    names |= {"target_task": experiment.data.target_task, "seed": experiment.seed}
-    first = _flat(names | differing_settings(resolved))
-    settings = first | {key: value for key, value in _flat(resolved).items() if key not in first}
-    metrics = {
-        f"final/{name}_{measure}": value
-        for name, outcome in record["trials"].items()
-        for measure, value in outcome.items()
-        if measure == "success" or measure not in COUNTED
-    }
-    metrics |= {f"final/{name}": value for name, value in record["alignment"].items()}
-    for logger in trainer.loggers:
-        if isinstance(logger, TensorBoardLogger):
-            logger.log_hyperparams(settings, metrics, trainer.global_step)
-        else:
-            logger.log_metrics(metrics, trainer.global_step)
-        logger.save()
-
-
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, str | float | int | bool]:
-    leaves: dict[str, str | float | int | bool] = {}
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            leaves |= _flat(value, prefix if key == "init_args" else f"{prefix}{key}.")
-        elif value is not None and not prefix.startswith("trainer"):
-            leaves[prefix + key] = value if isinstance(value, str | float | int | bool) else str(value)
-    return leaves

@@ -11,7 +11,7 @@ from typing import Any
 
 from lightning.fabric.plugins.environments.lightning import LightningEnvironment
 from lightning.pytorch import Callback, Trainer
-from lightning.pytorch.loggers import Logger, TensorBoardLogger
+from lightning.pytorch.loggers import Logger
 from lightning.pytorch.profilers import AdvancedProfiler, PyTorchProfiler, SimpleProfiler
 
 from datamodules.errors import ConfigError
@@ -24,6 +24,7 @@ from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.methods.phase import Phase
 from plp_lightning.pictures.latents import LatentPicture
 from plp_lightning.pictures.reconstructions import ReconstructionPicture
+from plp_lightning.runs.board import Board, Progress
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.metrics_file import MetricsFile
@@ -120,9 +121,9 @@ def build_trainer(
     if settings.get("profiler") in PROFILERS:
         settings["profiler"] = PROFILERS[settings["profiler"]](run.phase(name), "profile")
         print(visible(f"{name}: its profile goes into {run.phase(name)}/fit-profile.txt"), flush=True)
-    curves = TensorBoardLogger(
-        run.path, name=name, version="", default_hp_metric=False, purge_step=resumed.step if resumed else None
-    )
+    before = Progress.before(experiment, run, name)
+    curves = Board(run.path, name, before, purge_step=resumed.step if resumed else None)
+    curves.show_charts()
     callbacks = [*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])]
     callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
     return _lightning(settings, run.path, [curves, MetricsFile(run.phase(name))], callbacks)

@@ -81,7 +81,7 @@ def test_results_and_tensorboard_tell_what_they_were_made_with(tmp_path: Path) -
     assert found["version"] == found["versions"].get("plp-lightning")
     assert found["commit"] is None or len(found["commit"].removesuffix("-dirty")) == 40
 
-    events = EventAccumulator(str(run.phase("alignment")))
+    events = EventAccumulator(str(run.phase("adaptation")))
     events.Reload()
     plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data.content
     row = plugin_data_pb2.HParamsPluginData.FromString(plugin).session_start_info.hparams
