@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -125,23 +125,8 @@ def _check_hash(file: Path) -> None:
 
 def _record(file: Path, content: Any, root: Path) -> Record:
     try:
-        target = content.get("target")
-        errors = content["held_out"] if target is None else content.get("held_out", {})  # older results lack them
-        success, low, high = (None,) * 3 if target is None else map(_share, (target["success"], *target["interval"]))
-        return Record(
-            run=_key(content),
-            success=success,
-            low=low,
-            high=high,
-            before=None if target is None else _before(content),
-            source=_share(content["source"]["success"]) if "source" in content else None,
-            proxy=_share(content["proxy"]["success"]) if "proxy" in content else None,
-            alignment=_numbers(content["alignment"]),
-            seconds=sum(_numbers({name: x for name, x in content["seconds"].items() if name != "collection"}).values()),
-            settings=None if content.get("settings") is None else dict(content["settings"]),
-            behaviour=_numbers({name: x for name, x in (target or {}).items() if name not in COUNTED}),
-            held_out=_numbers(errors),
-            episodes=int(target["episodes"]) if target and "episodes" in target else None,
+        return replace(
+            _measured(content),
             commit=_text(content.get("commit")),
             config_sha256=_text(content.get("config_sha256")),
             data_sha256=_text(content.get("data_sha256")),
@@ -152,6 +137,28 @@ def _record(file: Path, content: Any, root: Path) -> Record:
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise ConfigError(f"{file}: not a run's results ({reason}); expected what plp fit wrote") from None
+
+
+def _measured(content: Mapping[str, Any]) -> Record:
+    """What a run came to, without where that stands."""
+    target = content.get("target")
+    errors = content["held_out"] if target is None else content.get("held_out", {})  # older results lack them
+    success, low, high = (None,) * 3 if target is None else map(_share, (target["success"], *target["interval"]))
+    return Record(
+        run=_key(content),
+        success=success,
+        low=low,
+        high=high,
+        before=None if target is None else _before(content),
+        source=_share(content["source"]["success"]) if "source" in content else None,
+        proxy=_share(content["proxy"]["success"]) if "proxy" in content else None,
+        alignment=_numbers(content["alignment"]),
+        seconds=sum(_numbers({name: x for name, x in content["seconds"].items() if name != "collection"}).values()),
+        settings=None if content.get("settings") is None else dict(content["settings"]),
+        behaviour=_numbers({name: x for name, x in (target or {}).items() if name not in COUNTED}),
+        held_out=_numbers(errors),
+        episodes=int(target["episodes"]) if target and "episodes" in target else None,
+    )
 
 
 def _share(value: Any) -> float:
