@@ -2,6 +2,7 @@
 
 # No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 from dataclasses import dataclass
+from typing import Literal
 
 from datamodules.settings import Configured, Fraction, NonNegativeFloat, PositiveInt
 
@@ -35,14 +36,17 @@ class Batching(Configured):
 
     Args:
         batch_size: Steps in a batch, all domains together.
-        tasks_per_batch: Alignment batches hold the same so many tasks in every domain; steps of all tasks if not given.
+        tasks_per_batch: Alignment batches hold the same so many tasks in every domain, or ``half`` of them, so that
+            states are compared with their like; steps of all tasks if null.
+        epoch_steps: Least steps in an epoch: little data come several times in one.
         pairs: Trajectory pairs in a batch, for phases that ask for them.
         stride: One of so many frames of a paired trajectory is kept.
         mix_ratio: Alignment steps for each target step in adaptation, drawn anew each epoch.
     """
 
     batch_size: PositiveInt = 512
-    tasks_per_batch: PositiveInt | None = None
+    tasks_per_batch: PositiveInt | Literal["half"] | None = "half"
+    epoch_steps: PositiveInt = 50
     pairs: PositiveInt = 32
     stride: PositiveInt = 16
     mix_ratio: NonNegativeFloat = 2.0

@@ -13,7 +13,7 @@ import inspect
 import math
 import types
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from jsonargparse.typing import register_type
 
@@ -124,7 +124,7 @@ def _check_bounds(place: str, hint: Any, value: Any) -> None:
     elif value is None and not _may_be_none(hint):
         raise ConfigError(f"{place} is null; expected a value; change it or leave it away")
     elif get_origin(hint) in (Union, types.UnionType):
-        for option in parts if value is not None or types.NoneType not in parts else ():
+        for option in () if _is_word(value, parts) else parts:
             _check_bounds(place, option, value)
     elif isinstance(value, Mapping):
         for name, item in value.items():
@@ -132,6 +132,12 @@ def _check_bounds(place: str, hint: Any, value: Any) -> None:
     elif isinstance(value, Sequence) and not isinstance(value, str) and parts:
         for item in value:
             _check_bounds(place, parts[0], item)
+
+
+def _is_word(value: Any, options: Sequence[Any]) -> bool:
+    """True for one of the words of a union, or for null where it has that."""
+    words = [word for option in options if get_origin(option) is Literal for word in get_args(option)]
+    return types.NoneType in options if value is None else isinstance(value, str) and value in words
 
 
 def _may_be_none(hint: Any) -> bool:

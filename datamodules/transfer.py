@@ -204,11 +204,12 @@ class TransferDataModule(LightningDataModule):
         return Loader(datasets, self._order(batch_spec), pairs, batch_spec)
 
     def _order(self, batch_spec: BatchSpec) -> Order:
+        least = self.batching.epoch_steps
         if batch_spec.steps == "none":  # so many steps that as many pairs come as the target domain has trajectories
             count = len(self.episodes(self.target_domain, self.proxy_tasks, "train"))
-            return NoSteps(-(-count // self.batching.pairs))
+            return NoSteps(max(-(-count // self.batching.pairs), least))
         rows_of = partial(self.rows, part="train", next_observation=batch_spec.next_observation)
-        drawn = self.batching.batch_size, self.seed
+        drawn = self.batching.batch_size, self.seed, least
         if batch_spec.steps == "mix":
             return MixOrder(rows_of(self.target_tasks), rows_of(self.proxy_tasks), self.batching.mix_ratio, *drawn)
         rows = rows_of([*self.proxy_tasks, *(self.target_tasks if batch_spec.steps == "all" else ())])

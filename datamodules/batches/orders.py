@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,12 +31,13 @@ class AlignmentOrder:
         rows: Rows ``(N,)`` to draw from, by domain.
         batch_size: Steps in a batch, all domains together.
         seed: Seed of the run.
+        least_steps: Least steps in an epoch.
     """
 
-    def __init__(self, rows: Rows, batch_size: int, seed: int) -> None:
+    def __init__(self, rows: Rows, batch_size: int, seed: int, least_steps: int = 1) -> None:
         self.rows, self.seed = rows, seed
         self.share = max(1, batch_size // len(rows))
-        self.steps = -(-sum(len(r) for r in rows.values()) // (self.share * len(rows)))
+        self.steps = max(-(-sum(len(r) for r in rows.values()) // (self.share * len(rows))), least_steps)
 
     def epoch(self, epoch: int) -> list[dict[str, np.ndarray]]:
         """Rows ``(share,)`` by domain, for each step of the epoch."""
@@ -60,17 +61,25 @@ class TaskwiseOrder(AlignmentOrder):
     Args:
         rows: Rows ``(N,)`` to draw from, by domain.
         tasks: Tasks ``(N,)`` of these rows, by domain. In a domain without a task's rows any row may take their place.
-        tasks_per_batch: So many tasks in a batch; all of them if there are fewer.
+        tasks_per_batch: So many tasks in a batch, or ``half`` of all, rounded up; all of them if there are fewer.
         batch_size: Steps in a batch, all domains together.
         seed: Seed of the run.
+        least_steps: Least steps in an epoch.
     """
 
     def __init__(
-        self, rows: Rows, tasks: Mapping[str, np.ndarray], tasks_per_batch: int, batch_size: int, seed: int
+        self,
+        rows: Rows,
+        tasks: Mapping[str, np.ndarray],
+        tasks_per_batch: int | Literal["half"],
+        batch_size: int,
+        seed: int,
+        least_steps: int = 1,
     ) -> None:
-        super().__init__(rows, batch_size, seed)
+        super().__init__(rows, batch_size, seed, least_steps)
         self.known = np.unique(np.concatenate([*tasks.values()]))
-        self.tasks_per_batch = min(tasks_per_batch, len(self.known))
+        wanted = -(-len(self.known) // 2) if tasks_per_batch == "half" else tasks_per_batch
+        self.tasks_per_batch = min(wanted, len(self.known))
         shares = [np.mean(tasks[domain][:, None] == self.known, axis=0) for domain in rows]
         self.logits = np.log(np.mean(shares, axis=0))
         self.rows_of = {
@@ -119,13 +128,17 @@ class MixOrder:
         ratio: Alignment steps for each target step ("mix": the paper's 2× or 1×).
         batch_size: Steps in a batch; the last batch of an epoch may be smaller.
         seed: Seed of the run.
+        least_steps: Least steps in an epoch; the target task's data come as many times as that takes.
     """
 
     def __init__(
-        self, target: Mapping[str, np.ndarray], pool: Mapping[str, np.ndarray], ratio: float, batch_size: int, seed: int
+        self, target: Rows, pool: Rows, ratio: float, batch_size: int, seed: int, least_steps: int = 1
     ) -> None:
         self.domains = list(dict.fromkeys([*target, *pool]))
-        self.target, self.pool = self._flat(target), self._flat(pool)
+        once, self.pool = self._flat(target), self._flat(pool)
+        mixed = round(ratio * len(once)) if len(self.pool) else 0
+        times = max(1, -(-least_steps * batch_size // max(1, len(once) + mixed)))
+        self.target = np.tile(once, (times, 1))
         self.mixed = round(ratio * len(self.target)) if len(self.pool) else 0
         self.batch_size, self.seed = batch_size, seed
         self.steps = -(-(len(self.target) + self.mixed) // batch_size)

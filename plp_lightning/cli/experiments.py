@@ -11,6 +11,7 @@ from pathlib import Path
 
 from datamodules.errors import ConfigError
 from plp_lightning.cli.config import help_parser, parse, read, tell, trusted
+from plp_lightning.cli.layers import read_yaml
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
 from plp_lightning.runs.directory import RunDirectory
@@ -68,7 +69,14 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
         print(f"{path}: done already; nothing was changed")
         return
     run.check_begun()
-    _fit(parse(["--config", str(run.config), *trusted(options.allow_imports)]), run)
+    _fit(parse([*_kept_words(run), *trusted(options.allow_imports)]), run)
+
+
+def _kept_words(run: RunDirectory) -> list[str]:
+    """Words that read a kept configuration; one that is older than a setting goes on as it was without it."""
+    data = read_yaml(run.config).get("data")
+    older = isinstance(data, dict) and "epoch_steps" not in data
+    return ["--config", str(run.config), *(["--data.epoch_steps", "1"] if older else [])]
 
 
 def _fit(experiment: Experiment, run: RunDirectory) -> None:

@@ -10,7 +10,7 @@ from datamodules.errors import ConfigError
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.methods.bc.policy import BCPolicy
-from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase
 
 
@@ -22,7 +22,7 @@ class BCCloning(Phase[BCPolicy]):
         bc_reduction: Over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if null.
         domains: Domains whose demonstrations are learnt, all if not given. One alone tells whether they can be cloned.
 
     Raises:
@@ -37,8 +37,8 @@ class BCCloning(Phase[BCPolicy]):
         policy: BCPolicy,
         bc_reduction: Literal["mean", "sum"] = "mean",
         epochs: PositiveInt = 100,
-        optimizer: OptimizerFactory = FusedAdamW,
-        lr_scheduler: SchedulerFactory | None = None,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = CosineDecay,
         domains: list[str] | None = None,
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
@@ -65,7 +65,7 @@ class BCAdaptation(BCCloning):
         bc_reduction: Over action dimensions: ``mean`` or ``sum``.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if null.
     """
 
     batch_spec = BatchSpec("mix")
@@ -75,7 +75,7 @@ class BCAdaptation(BCCloning):
         policy: BCPolicy,
         bc_reduction: Literal["mean", "sum"] = "mean",
         epochs: PositiveInt = 50,
-        optimizer: OptimizerFactory = FusedAdamW,
-        lr_scheduler: SchedulerFactory | None = None,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = CosineDecay,
     ) -> None:
         super().__init__(policy, bc_reduction, epochs, optimizer, lr_scheduler)

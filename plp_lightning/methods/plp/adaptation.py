@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from datamodules.batches.dataset import DomainDataset
 from datamodules.settings import PositiveInt
 from datamodules.types import BatchSpec, Observation, Steps
-from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import CachedStates, tasks_of
 from plp_lightning.methods.plp.policy import PortablePolicy
 
@@ -25,7 +25,7 @@ class Adaptation(CachedStates[PortablePolicy]):
         policy: The aligned policy.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if null.
     """
 
     trains = PortablePolicy
@@ -34,8 +34,8 @@ class Adaptation(CachedStates[PortablePolicy]):
         self,
         policy: PortablePolicy,
         epochs: PositiveInt = 50,
-        optimizer: OptimizerFactory = FusedAdamW,
-        lr_scheduler: SchedulerFactory | None = None,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = CosineDecay,
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.batch_spec = BatchSpec("mix", images=policy.decoder_sees_images)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Observation, PackedTrajectories, Steps
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count, tasks_of
 from plp_lightning.methods.plp.policy import PortablePolicy
 from plp_lightning.methods.plp.terms import AlignmentTerm, EncodedBatch, TermFactory
@@ -30,7 +30,7 @@ class Alignment(Phase[PortablePolicy]):
         bc_reduction: Reduction of cloning over action dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes the schedule of the learning rate; the paper's is constant.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate, as the paper's, if null.
     """
 
     trains = PortablePolicy
@@ -41,8 +41,8 @@ class Alignment(Phase[PortablePolicy]):
         terms: Mapping[str, TermFactory] | None = None,
         bc_reduction: Literal["mean", "sum"] = "mean",
         epochs: PositiveInt = 100,
-        optimizer: OptimizerFactory = FusedAdamW,
-        lr_scheduler: SchedulerFactory | None = None,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = CosineDecay,
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
         self.bc_reduction = bc_reduction

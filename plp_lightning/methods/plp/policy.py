@@ -82,7 +82,7 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Depth = 3,
         gradient_floor: NonNegativeFloat = 0.1,
         encoder_state: EncoderState = "all",
-        decoder_state: DecoderState = "none",
+        decoder_state: DecoderState = "proprioception",
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
         image_encoder: ImageEncoding = ImageEncoding(),

@@ -73,8 +73,8 @@ class MMD(AlignmentTerm):
 
     Args:
         policy: The policy that is aligned.
-        weight: λ_MMD.
-        bandwidths: Widths of the kernels, in mean distances; the paper has one of 1.
+        weight: λ_MMD; the paper's is 0.1.
+        bandwidths: Widths of the kernels, in mean distances; the paper has one of 1, which doesn't see gaps of half that.
         scale_gradient: Let the gradient flow through the mean distance that is divided by. Without, a few latent
             states can't lower the loss by running away from all others.
 
@@ -85,8 +85,8 @@ class MMD(AlignmentTerm):
     def __init__(
         self,
         policy: PortablePolicy,
-        weight: NonNegativeFloat = 0.1,
-        bandwidths: tuple[PositiveFloat, ...] = (1.0,),
+        weight: NonNegativeFloat = 0.2,
+        bandwidths: tuple[PositiveFloat, ...] = (1.0, 0.5, 0.25),
         scale_gradient: bool = True,
     ) -> None:
         super().__init__(policy)

@@ -14,7 +14,7 @@ from datamodules.errors import ConfigError
 from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
+from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import step_count, tasks_of
 from plp_lightning.methods.plp.adaptation import Adaptation
 from plp_lightning.methods.plp.alignment import Alignment
@@ -61,7 +61,7 @@ class StateOnlyAlignment(Alignment):
         next_reduction: Reduction of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
         epochs: Passes over the proxy data, counted in samples of all domains together.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if null.
 
     Raises:
         ConfigError: If the policy's decoder does not see the state.
@@ -75,8 +75,8 @@ class StateOnlyAlignment(Alignment):
         terms: Mapping[str, TermFactory] | None = None,
         next_reduction: Reduction = "mean",
         epochs: PositiveInt = 100,
-        optimizer: OptimizerFactory = FusedAdamW,
-        lr_scheduler: SchedulerFactory | None = None,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = CosineDecay,
     ) -> None:
         super().__init__(policy, terms, epochs=epochs, optimizer=optimizer, lr_scheduler=lr_scheduler)
         if not policy.context_columns[policy.problem.target_domain]:
@@ -120,7 +120,7 @@ class StateOnlyAdaptation(Adaptation):
         policy: The aligned policy.
         epochs: Passes over the target task's data and its mix.
         optimizer: Makes the optimizer.
-        lr_scheduler: Makes the schedule of the learning rate; a constant rate if not given.
+        lr_scheduler: Makes the schedule of the learning rate; a constant rate if null.
         next_reduction: Reduction of L_next over latent dimensions: ``mean``, or ``sum`` as printed in the paper.
     """
 
@@ -131,8 +131,8 @@ class StateOnlyAdaptation(Adaptation):
         self,
         policy: StateOnlyPolicy,
         epochs: PositiveInt = 50,
-        optimizer: OptimizerFactory = FusedAdamW,
-        lr_scheduler: SchedulerFactory | None = None,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        lr_scheduler: SchedulerFactory | None = CosineDecay,
         next_reduction: Reduction = "mean",
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)
