@@ -60,7 +60,9 @@ def data_module(
     demonstrations = Demonstrations(
         trajectories=trajectories, target_trajectories=target_trajectories, val_fraction=val_fraction
     )
-    batching = Batching(batch_size=batch_size, tasks_per_batch=tasks_per_batch, pairs=6, stride=4, mix_ratio=mix_ratio)
+    batching = Batching(
+        batch_size=batch_size, tasks_per_batch=tasks_per_batch, epoch_steps=1, pairs=6, stride=4, mix_ratio=mix_ratio
+    )
     return TransferDataModule(path, roles(domain_names), demonstrations, batching, seed)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from lightning.pytorch import Trainer, seed_everything
 from datamodules.errors import CheckpointError
 from plp_lightning.callbacks.checkpointing import previous_checkpoint, read_checkpoint
 from plp_lightning.evaluation.held_out import held_out_errors
+from plp_lightning.evaluation.verdict import facts
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
@@ -96,7 +98,15 @@ def assess(experiment: Experiment, phase: Phase, trainer: Trainer) -> dict[str, 
     with on_device(phase.policy, trainer.strategy.root_device):  # Lightning has put it back on the processor
         trials = _pictured_trials(experiment, phase.policy, trainer) if phase.policy_acts else {}
         errors = held_out_errors(phase.policy, experiment.data) if phase.policy_acts else {}
-        return {"trials": trials, "alignment": experiment.alignment(phase.policy), "held_out": errors}
+        scores, known = experiment.alignment(phase.policy), _facts(experiment, phase, trials)
+        return {"trials": trials, "alignment": scores, "held_out": errors, "facts": known}
+
+
+def _facts(experiment: Experiment, phase: Phase, trials: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """What the verdict is made of; what a phase has not been shown says nothing about it."""
+    shown = [name for name in trials if name != "source" or phase.batch_spec.steps != "proxy_tasks"]
+    success = {name: trials[name]["success"] for name in shown}
+    return facts(phase.policy, experiment.data, success) if phase.policy_acts else {}
 
 
 def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, dict[str, Any]]:

@@ -43,6 +43,7 @@ class DoneRecord(TypedDict):
     seconds: Seconds
     trials: dict[str, OutcomeRecord]
     alignment: dict[str, Number]
+    facts: NotRequired[dict[str, Number]]  # those of earlier versions have none
     checkpoint_sha256: NotRequired[str]  # of the file of its last checkpoint
     sha256: NotRequired[str]  # of this record; those of earlier versions have none
 
@@ -68,6 +69,7 @@ class Results(TypedDict):
     target_task: str
     seed: int
     alignment: dict[str, Number]
+    facts: NotRequired[dict[str, Number]]
     seconds: dict[str, Seconds]
     target: NotRequired[OutcomeRecord]
     source: NotRequired[OutcomeRecord]

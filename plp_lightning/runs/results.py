@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from plp_lightning.evaluation.simulation import Outcome
+from plp_lightning.evaluation.verdict import shortfalls, verdict
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.printing import shown
@@ -42,6 +43,8 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         **{trial: {**x, "before": before.get(trial, {}).get("success")} for trial, x in last["trials"].items()},
         "alignment": last["alignment"],
         "held_out": last.get("held_out", {}),
+        "facts": last.get("facts", {}),
+        "falls_short": [name for name, _ in shortfalls(last.get("facts", {}))],
         "seconds": {"collection": run.status().get("collection_seconds", 0.0)}
         | {name: record["seconds"] for name, record in done.items()},
         "data_sha256": experiment.data.fingerprint,
@@ -80,6 +83,7 @@ def print_results(results: Mapping[str, Any], run: RunDirectory) -> None:
     times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
     lines = f"alignment: {scores or 'not scored'}\nerror of held-out actions: {errors or 'none held out'}"
     lines += f"\ntime: {times}\nrun directory: {run.path}"
+    lines = "\n".join([lines, *verdict(results["facts"])] if results.get("facts") else [lines])
     Console(soft_wrap=True).print(shown(lines), highlight=False)
 
 

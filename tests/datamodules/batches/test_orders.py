@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodules.batches.orders import AlignmentOrder, MixOrder, PairOrder, shuffled
+from datamodules.batches.orders import AlignmentOrder, MixOrder, PairOrder, TaskwiseOrder, shuffled
 from datamodules.streams import Stream, generator
 
 ROWS = {"small": np.arange(100, 110), "large": np.arange(35)}
@@ -171,3 +171,33 @@ def test_pairs_are_a_pure_function_of_seed_epoch_and_step() -> None:
 
     assert drawn_pairs(1, 2, 3) == drawn_pairs(1, 2, 3)
     assert len({str(drawn_pairs(*key)) for key in [(1, 2, 3), (0, 2, 3), (1, 1, 3), (1, 2, 6)]}) == 4
+
+
+def test_an_epoch_of_little_data_has_the_least_steps() -> None:
+    order = AlignmentOrder(ROWS, 10, seed=0, least_steps=20)
+    assert len(order.epoch(0)) == order.steps == 20
+    assert all(len(step[domain]) == 5 for step in order.epoch(0) for domain in ROWS)
+    uses = Counter(drawn(order.epoch(0), "small"))
+    assert set(uses.values()) == {10}  # 100 draws of 10 rows, each once before any comes again
+    assert equal(AlignmentOrder(ROWS, 10, seed=0, least_steps=3).epoch(1), AlignmentOrder(ROWS, 10, seed=0).epoch(1))
+
+
+@pytest.mark.parametrize(("least", "times"), [(1, 1), (8, 3), (50, 13)])
+def test_the_target_task_comes_as_often_as_the_least_steps_take(least: int, times: int) -> None:
+    order = MixOrder(TARGET, POOL, 2.0, 16, 0, least)
+    epoch = order.epoch(0)
+    assert len(epoch) == order.steps >= least
+    uses = Counter(row for row in drawn(epoch, "source") if row >= 1000)
+    assert uses == dict.fromkeys(range(1000, 1021), times)
+    assert sum(len(rows) for step in epoch for rows in step.values()) == 3 * 21 * times
+    if times == 1:
+        assert equal(epoch, mix_order().epoch(0))
+
+
+def test_half_of_the_tasks_are_in_a_batch() -> None:
+    rows = {"small": np.arange(100, 110), "large": np.arange(50)}
+    tasks = {"small": np.arange(10) % 5, "large": np.arange(50) % 5}
+    for step in TaskwiseOrder(rows, tasks, "half", 12, seed=0).epoch(0):
+        seen = [{int(tasks[domain][row - rows[domain][0]]) for row in step[domain]} for domain in rows]
+        assert seen[0] == seen[1]
+        assert len(seen[0]) == 3
