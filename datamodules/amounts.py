@@ -44,7 +44,7 @@ class Batching(Configured):
         mix_ratio: Alignment steps for each target step in adaptation, drawn anew each epoch.
     """
 
-    batch_size: PositiveInt = 512
+    batch_size: PositiveInt = 256
     tasks_per_batch: PositiveInt | Literal["half"] | None = "half"
     epoch_steps: PositiveInt = 50
     pairs: PositiveInt = 32

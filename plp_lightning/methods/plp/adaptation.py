@@ -33,8 +33,8 @@ class Adaptation(CachedStates[PortablePolicy]):
     def __init__(
         self,
         policy: PortablePolicy,
-        epochs: PositiveInt = 50,
-        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
+        epochs: PositiveInt = 20,
+        optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=1e-3),
         lr_scheduler: SchedulerFactory | None = CosineDecay,
     ) -> None:
         super().__init__(policy, epochs, optimizer, lr_scheduler)

@@ -40,7 +40,7 @@ class Alignment(Phase[PortablePolicy]):
         policy: PortablePolicy,
         terms: Mapping[str, TermFactory] | None = None,
         bc_reduction: Literal["mean", "sum"] = "mean",
-        epochs: PositiveInt = 100,
+        epochs: PositiveInt = 50,
         optimizer: OptimizerFactory = lambda p: FusedAdamW(p, lr=5e-4),
         lr_scheduler: SchedulerFactory | None = CosineDecay,
     ) -> None:

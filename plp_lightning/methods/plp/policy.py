@@ -53,7 +53,8 @@ class PortablePolicy(AligningPolicy):
         problem: Domains and tasks.
         latent: Z, size of latent states and latent actions.
         hidden: Units in every hidden layer.
-        encoder_layers: Hidden layers of the state encoder.
+        encoder_layers: Hidden layers of the state encoder; the paper has 3. A shallow one carries on more evenly where
+            no proxy task leads.
         policy_layers: Hidden layers of the common policy.
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
@@ -77,7 +78,7 @@ class PortablePolicy(AligningPolicy):
         problem: TransferProblem,
         latent: PositiveInt = 192,
         hidden: PositiveInt = 192,
-        encoder_layers: Depth = 3,
+        encoder_layers: Depth = 1,
         policy_layers: Depth = 4,
         decoder_layers: Depth = 3,
         gradient_floor: NonNegativeFloat = 0.1,
