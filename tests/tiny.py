@@ -26,6 +26,7 @@ from plp_lightning.runs.plans import CollectionConfig
 
 TASKS = LinearPoint(1).tasks.names
 TARGET = "goal_3"
+KERNELS = (1.0, 0.5, 0.25)  # MMD's own
 PROXIES = tuple(task for task in TASKS if task != TARGET)
 
 

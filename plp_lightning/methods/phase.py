@@ -75,7 +75,7 @@ class Phase(Configured, LightningModule, Generic[P]):
         if self.lr_scheduler is None:
             return optimizer
         schedule, interval = self.lr_scheduler(optimizer), "epoch"
-        if isinstance(schedule, PhaseSchedule):
+        if isinstance(schedule, PhaseSchedule) and self._trainer is not None:
             schedule.span(int(self.trainer.estimated_stepping_batches), self.trainer.max_epochs or self.epochs)
             interval = schedule.interval
         return {

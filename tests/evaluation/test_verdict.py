@@ -12,7 +12,6 @@ from tiny import policy as portable_policy
 
 from datamodules.transfer import TransferDataModule
 from plp_lightning.evaluation.verdict import CHECKS, facts, shortfalls, verdict
-from plp_lightning.methods.plp.policy import PortablePolicy
 
 WELL = {"cloned/a": 1.0, "cloned/b": 0.9, "learnt": 1.0, "mix": 0.45, "spread": 0.1, "proxies": 8.0}
 

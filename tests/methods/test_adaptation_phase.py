@@ -57,7 +57,9 @@ def test_cached_latents_are_fresh_latents(adapted: tuple[Watched, dict[str, Tens
 
 
 def test_the_optimiser_holds_the_common_policy_alone_even_without_a_guard(trajectory_file: Path) -> None:
-    phase = Adaptation(tiny.policy(tiny.data_module(trajectory_file)), optimizer=tiny.adamw(0.25, 0.5))
+    phase = Adaptation(
+        tiny.policy(tiny.data_module(trajectory_file)), optimizer=tiny.adamw(0.25, 0.5), lr_scheduler=None
+    )
     optimizer = phase.configure_optimizers()
     held = [id(parameter) for group in optimizer.param_groups for parameter in group["params"]]
     assert held == [id(parameter) for parameter in phase.policy.common.parameters()]

@@ -57,9 +57,8 @@ def test_every_part_of_the_loss_has_its_curve(
 
 
 def test_adamw_without_decay_is_the_default(trajectory_file: Path) -> None:
-    phase = Alignment(
-        tiny.policy(tiny.data_module(trajectory_file)), tiny.terms("adversarial"), optimizer=tiny.adamw(0.125)
-    )
+    policy = tiny.policy(tiny.data_module(trajectory_file))
+    phase = Alignment(policy, tiny.terms("adversarial"), optimizer=tiny.adamw(0.125), lr_scheduler=None)
     optimizer = phase.configure_optimizers()
     assert isinstance(optimizer, torch.optim.AdamW)
     (group,) = optimizer.param_groups
@@ -93,7 +92,7 @@ def test_a_run_that_was_stopped_gives_the_weights_of_an_unbroken_one(
 ) -> None:
     def run(folder: str, epochs: int, resume: Path | None = None) -> dict[str, torch.Tensor]:
         data = tiny.data_module(trajectory_file, batch_size=100)
-        phase = Alignment(tiny.policy(data), tiny.terms("mmd", "tcc"), optimizer=tiny.adamw(1e-3))
+        phase = Alignment(tiny.policy(data), tiny.terms("mmd", "tcc"), optimizer=tiny.adamw(1e-3), lr_scheduler=None)
         trainer = make_trainer(RandomState(), *best_and_last(tmp_path / folder, "val/bc"), epochs=epochs)
         trainer.fit(phase, datamodule=data, ckpt_path=resume, weights_only=True)
         return {name: value.clone() for name, value in phase.state_dict().items()}

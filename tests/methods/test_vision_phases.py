@@ -55,7 +55,7 @@ def align(
 ) -> Recorded:
     torch.manual_seed(1)
     terms = {name: WEIGHED[name] for name in names} | {"reconstruction": partial(ImageReconstruction, weight=weight)}
-    return Recorded(seen.policy(data, decoder_state), terms, optimizer=tiny.adamw(1e-3))
+    return Recorded(seen.policy(data, decoder_state), terms, optimizer=tiny.adamw(1e-3), lr_scheduler=None)
 
 
 def reconstruction_of(phase: Alignment) -> ImageReconstruction:
@@ -88,7 +88,7 @@ def test_one_pass_over_all_images_gives_the_losses_of_separate_passes(
     (u, of_u), (v, of_v) = ((policy.encode({d: s.observation})[d], s) for d, s in batch.pairs.items())
     expected = {
         "bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}),
-        "mmd": mmd([*latent.values()]),
+        "mmd": mmd([*latent.values()], bandwidths=tiny.KERNELS),
         "reconstruction": reconstruction(memory, {d: s.observation.image for d, s in steps.items()}),  # type: ignore[misc]
         "tcc": tcc(u[of_u.frame], of_u.mask, v[of_v.frame], of_v.mask),
     }
