@@ -11,9 +11,9 @@ from pathlib import Path
 
 from datamodules.errors import ConfigError
 from plp_lightning.cli.config import help_parser, parse, read, tell, trusted
-from plp_lightning.cli.layers import read_yaml
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
+from plp_lightning.cli.yaml_files import read_yaml
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import fit

@@ -51,6 +51,8 @@ NOT_FOR_US = (
     r"Found .* module\(s\) in eval mode",
     # A resumed run writes into the folder that it was in before.
     r"Checkpoint directory .* exists and is not empty",
+    # A run is one of its own, whatever scheduler is installed.
+    r"The `srun` command is available on your system but is not used",
     # Who asks for the processor means it.
     r"GPU available but not used",
     # Lightning 2.6 uses a name that newer torch deprecates.

@@ -74,7 +74,7 @@ class MMD(AlignmentTerm):
     Args:
         policy: The policy that is aligned.
         weight: λ_MMD; the paper's is 0.1.
-        bandwidths: Widths of the kernels, in mean distances; the paper has one of 1, which doesn't see gaps of half that.
+        bandwidths: Widths of the kernels, in mean distances; the paper's one of 1 sees no gaps of half that.
         scale_gradient: Let the gradient flow through the mean distance that is divided by. Without, a few latent
             states can't lower the loss by running away from all others.
 
