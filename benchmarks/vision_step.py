@@ -54,7 +54,7 @@ def make_data(folder: Path, steps: int) -> TransferDataModule:
             task,
             Observation(
                 rng.normal(size=(STEPS, HAND)).astype(np.float32),
-                np.kron(rng.integers(0, 256, (STEPS, 8, 8, 3)), np.ones((1, 8, 8, 1))).astype(np.uint8),
+                {"image": np.kron(rng.integers(0, 256, (STEPS, 8, 8, 3)), np.ones((1, 8, 8, 1))).astype(np.uint8)},
             ),
             rng.uniform(-1, 1, (STEPS, 4)).astype(np.float32),
             seed=i,
@@ -110,7 +110,7 @@ def plain_loop(data: TransferDataModule, steps: int) -> float:
 def _plain_loss(net: PlainNetwork, data: TransferDataModule, transitions: dict) -> Tensor:  # type: ignore[type-arg]
     latents, actions, errors = [], {}, []
     for i, (domain, steps) in enumerate(transitions.items()):
-        pixels = steps.observation.image.permute(0, 3, 1, 2).contiguous().float() / 255
+        pixels = steps.observation.images["image"].permute(0, 3, 1, 2).contiguous().float() / 255
         identity = torch.eye(2)[i].expand(len(pixels), -1)
         features = net.convolutions(torch.cat([pixels, net.place.expand(len(pixels), -1, -1, -1)], dim=1))
         latent = net.encoder(torch.cat([steps.observation.state, identity, features], dim=1))

@@ -1,7 +1,8 @@
-"""Observations as a robot gives them, an array by name, and as policies take them, one vector and one image."""
+"""Observations as a robot gives them, an array by name, and as policies take them, one vector and images by name."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -14,7 +15,7 @@ def gather(spec: DomainSpec, named: Mapping[str, np.ndarray]) -> tuple[Observati
     """Lay named arrays ``(…, *shape)`` side by side; names that the domain does not know are passed over.
 
     Returns:
-        State ``(B, O)`` float32, image ``(B, H, W, C)`` uint8 or None; and the leading axes, whose product is B.
+        State ``(B, O)`` float32, images ``(B, H, W, C)`` uint8; and the leading axes, whose product is B.
 
     Raises:
         UserError: If a key of the domain is missing, or its array is of another shape.
@@ -24,10 +25,29 @@ def gather(spec: DomainSpec, named: Mapping[str, np.ndarray]) -> tuple[Observati
     if odd := next((name for name, found in leads.items() if found != lead), None):
         first = next(iter(leads))
         raise UserError(f"{odd!r} has {leads[odd]} rows, {first!r} {lead}; expected as many of each key")
-    columns = [np.asarray(named[key.name], np.float32).reshape(-1, *key.shape) for key in spec.state_keys]
-    camera = spec.image_key
-    image = None if camera is None else np.asarray(named[camera.name]).reshape(-1, *camera.shape)
-    return Observation(np.concatenate(columns, axis=1), image), lead
+    rows = math.prod(lead)
+    columns = [np.asarray(named[key.name], np.float32).reshape(rows, *key.shape) for key in spec.state_keys]
+    images = {key.name: np.asarray(named[key.name]).reshape(rows, *key.shape) for key in spec.image_keys}
+    return Observation(np.concatenate([np.empty((rows, 0), np.float32), *columns], axis=1), images), lead
+
+
+def fit_images(spec: DomainSpec, observation: Observation[np.ndarray]) -> Observation[np.ndarray]:
+    """Hold images ``(B, H, W, C)`` uint8 to a domain's cameras; where there is one, the array alone will do.
+
+    Raises:
+        UserError: If a camera's images are missing, or of another shape, type or number than there are states.
+    """
+    cameras, found = spec.image_keys, observation.images
+    if isinstance(found, np.ndarray) and len(cameras) == 1:
+        found = {cameras[0].name: found}
+    if not isinstance(found, Mapping):
+        expected = f"arrays by name, of {', '.join(key.name for key in cameras) or 'none'}"
+        raise UserError(f"images are of type {type(found).__name__}; domain {spec.name!r} shows {expected}")
+    rows = {key.name: _lead(key, found, spec) for key in cameras}
+    states = observation.state.shape[:-1]
+    if odd := next((name for name, lead in rows.items() if lead != states), None):
+        raise UserError(f"{odd!r} has {rows[odd]} rows, the state {states}; expected as many of each")
+    return observation._replace(images={key.name: found[key.name] for key in cameras})
 
 
 def _lead(key: ObservationKey, named: Mapping[str, np.ndarray], spec: DomainSpec) -> tuple[int, ...]:

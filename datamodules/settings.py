@@ -13,7 +13,7 @@ import inspect
 import math
 import types
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from jsonargparse.typing import register_type
 
@@ -85,6 +85,8 @@ class Configured:
     """
 
     arguments: dict[str, Any]  # By name, defaults included; those of the outermost class that was built
+    beginnings: ClassVar[tuple[str, ...]] = ()
+    """Arguments that say with which weights an object begins: a checkpoint has the weights, so no recipe tells them."""
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Look at the arguments before the constructor does, so that no class has to hand them on."""
@@ -164,8 +166,8 @@ def recipe(made: Configured, leaving_out: Sequence[str] = ()) -> dict[str, Any]:
 
     Arguments in ``leaving_out`` are not told: the caller of :func:`build` gives them.
     """
-    kind = type(made)
-    arguments = {name: _plain(value) for name, value in made.arguments.items() if name not in leaving_out}
+    kind, left = type(made), (*leaving_out, *made.beginnings)
+    arguments = {name: _plain(value) for name, value in made.arguments.items() if name not in left}
     return {"class_path": f"{kind.__module__}.{kind.__qualname__}", "init_args": arguments}
 
 

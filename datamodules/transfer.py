@@ -139,7 +139,7 @@ class TransferDataModule(LightningDataModule):
         with TrajectoryFile.open(self.path) as file:
             chosen = {domain: self._chosen(file, domain) for domain in self.domains}
             images = stored_images(file, chosen, self.image_memory)
-            found = {domain: self._read(file, domain, chosen[domain], images.get(domain)) for domain in self.domains}
+            found = {domain: self._read(file, domain, chosen[domain], images[domain]) for domain in self.domains}
         for domain, dataset in found.items():
             check_values(self.path, domain, dataset)
         return found
@@ -148,11 +148,13 @@ class TransferDataModule(LightningDataModule):
         task = file.episodes(domain).task
         return np.sort(np.concatenate([np.flatnonzero(task == k)[:n] for k, n in self.needed()[domain].items()]))
 
-    def _read(self, file: TrajectoryFile, domain: str, chosen: np.ndarray, image: Images | None) -> DomainDataset:
+    def _read(
+        self, file: TrajectoryFile, domain: str, chosen: np.ndarray, images: Mapping[str, Images]
+    ) -> DomainDataset:
         arrays = file.read(domain, chosen, images=False)
         episode_task = np.array([self.tasks.index(name) for name in arrays.task])
         numbers = (arrays.offset, episode_task, file.episodes(domain).seed[chosen], arrays.last)
-        return build_dataset(file.spec(domain), arrays.state, image, arrays.actions, *numbers)
+        return build_dataset(file.spec(domain), arrays.state, images, arrays.actions, *numbers)
 
     @property
     def specs(self) -> list[DomainSpec]:

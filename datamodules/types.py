@@ -6,8 +6,9 @@ size of a domain, ``A`` action size of a domain, ``Z`` latent size, ``K`` tasks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -21,21 +22,35 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 ArrayT = TypeVar("ArrayT", np.ndarray, "Tensor")
+NO_IMAGES: Mapping[str, Any] = {}
+"""Images of a domain without a camera, or of one whose images nobody looks at."""
 
 
 class Observation(NamedTuple, Generic[ArrayT]):
     """A policy's raw view of one domain: numpy arrays in simulators and files, tensors in training."""
 
-    state: ArrayT  # Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec
-    image: ArrayT | None = None  # Uint8 of shape ``(..., H, W, C)``, or None in a domain without a camera
+    state: ArrayT
+    """Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec; O may be 0."""
+    images: Mapping[str, ArrayT] = NO_IMAGES
+    """By image key, uint8 of shape ``(..., H, W, C)``, each of its own size; empty in a domain without a camera."""
 
     def take(self: Observation[ArrayT], rows: Any) -> Observation[ArrayT]:  # type: ignore[misc]  # a generic NamedTuple
         """The observation at ``rows``, an index, a slice or an index array ``(n,)``, of the first axis."""
         return self.map(lambda x: x[rows])
 
     def map(self: Observation[ArrayT], change: Callable[[ArrayT], Any]) -> Observation[Any]:  # type: ignore[misc]
-        """The observation with ``change`` applied to its state ``(..., O)`` and its image ``(..., H, W, C)``."""
-        return Observation(change(self.state), None if self.image is None else change(self.image))
+        """The observation with ``change`` applied to its state ``(..., O)`` and its images ``(..., H, W, C)``."""
+        if not self.images:  # as in most training and evaluation, which take many small steps
+            return Observation(change(self.state))
+        return Observation(change(self.state), {name: change(image) for name, image in self.images.items()})
+
+
+def join_observations(
+    parts: Sequence[Observation[ArrayT]], join: Callable[[list[ArrayT]], ArrayT]
+) -> Observation[ArrayT]:
+    """Put observations of one domain together, by ``np.concatenate`` or ``torch.stack`` of their states and images."""
+    images = {name: join([part.images[name] for part in parts]) for name in parts[0].images}
+    return Observation(join([part.state for part in parts]), images or NO_IMAGES)
 
 
 @dataclass(frozen=True)
@@ -62,8 +77,8 @@ class DomainSpec:
     action_high: tuple[float, ...] | None = None  # ``(A,)``: what 1 stands for
 
     def __post_init__(self) -> None:
-        if not self.state_keys:
-            raise UserError(f"domain {self.name!r} has no state key; at least one is needed")
+        if not self.observation:
+            raise UserError(f"domain {self.name!r} has neither a state key nor a camera; at least one key is needed")
         if self.action_low is not None or self.action_high is not None:
             check_limits(self.name, self.action_size, (self.action_low or (), self.action_high or ()))
 
@@ -73,13 +88,13 @@ class DomainSpec:
         return tuple(key for key in self.observation if key.kind == "state")
 
     @property
-    def image_key(self) -> ObservationKey | None:
-        """Key of the images ``(H, W, C)``, if the domain has a camera."""
-        return next((key for key in self.observation if key.kind == "image"), None)
+    def image_keys(self) -> tuple[ObservationKey, ...]:
+        """Keys of the cameras' images ``(H, W, C)``, each of its own size, in order; none without a camera."""
+        return tuple(key for key in self.observation if key.kind == "image")
 
     @property
     def state_size(self) -> int:
-        """Length O of the state vector ``(O,)``."""
+        """Length O of the state vector ``(O,)``; 0 in a domain that shows images alone."""
         return sum(key.shape[0] for key in self.state_keys)
 
     def columns(self, names: Iterable[str]) -> list[int]:
@@ -88,11 +103,12 @@ class DomainSpec:
         Raises:
             UserError: If the domain has no state key of that name.
         """
-        stops = np.cumsum([key.shape[0] for key in self.state_keys])
+        stops = accumulate(key.shape[0] for key in self.state_keys)
         spans = {key.name: range(n - key.shape[0], n) for key, n in zip(self.state_keys, stops, strict=True)}
         for name in (names := list(names)):
             if name not in spans:
-                raise UserError(f"domain {self.name!r} has no state key {name!r}; it has: {', '.join(spans)}")
+                has = ", ".join(spans) or "none"
+                raise UserError(f"domain {self.name!r} has no state key {name!r}; it has: {has}")
         return [column for name in names for column in spans[name]]
 
     @property
@@ -129,7 +145,7 @@ class Trajectory:
     domain: str
     task: str
     observation: Observation[np.ndarray]
-    """State ``(T + 1, O)``, image ``(T + 1, H, W, C)``: what the expert saw before each action and after the last one;
+    """State ``(T + 1, O)``, images ``(T + 1, H, W, C)``: what the expert saw before each action and after the last one;
     T rows if nobody knows what was seen last."""
     actions: np.ndarray  # Float32 ``(T, A)`` in [-1, 1]
     seed: int  # Seed of the initial state; the simulator and this number give the first observation again
@@ -154,12 +170,12 @@ class Trajectory:
 class Steps(NamedTuple):
     """Single steps of one domain, drawn from many trajectories; transitions, if they hold what is seen next."""
 
-    observation: Observation[Tensor]  # State ``(B, O)``, image ``(B, H, W, C)``
+    observation: Observation[Tensor]  # State ``(B, O)``, images ``(B, H, W, C)``
     action: Tensor  # ``(B, A)``
     task: Tensor  # ``(B,)`` int64, index into the experiment's task names
     row: Tensor  # ``(B,)`` int64, position of the step in its domain's dataset (see ``datamodules.batches.dataset``)
     next_observation: Observation[Tensor] | None = None
-    """State ``(B, O)``, image ``(B, H, W, C)``: what is seen after the action, if the phase asks for it."""
+    """State ``(B, O)``, images ``(B, H, W, C)``: what is seen after the action, if the phase asks for it."""
     progress: Tensor | None = None
     """``(B,)`` float32: share of the trajectory that lies behind, 0 at its first step and 1 at its last, if the phase
     asks for it."""
@@ -168,7 +184,7 @@ class Steps(NamedTuple):
 class PackedTrajectories(NamedTuple):
     """Trajectories of one domain, thinned out, their frames laid end to end."""
 
-    observation: Observation[Tensor]  # State ``(F, O)``, image ``(F, H, W, C)``: the frames of all P trajectories
+    observation: Observation[Tensor]  # State ``(F, O)``, images ``(F, H, W, C)``: the frames of all P trajectories
     frame: Tensor  # ``(P, T)`` int64: which frame is step t of trajectory p; 0 where ``mask`` is False
     mask: Tensor  # ``(P, T)`` bool: False behind the end of a trajectory
     action: Tensor  # ``(F, A)``: the expert's

@@ -86,8 +86,7 @@ def invent_demonstrations(experiment: Experiment) -> None:
             for seed in range(count):
                 states = rng.normal(size=(20, spec.state_size)).astype(np.float32)
                 actions = rng.uniform(-1, 1, (20, spec.action_size)).astype(np.float32)
-                camera = spec.image_key
-                images = None if camera is None else rng.integers(0, 256, (20, *camera.shape), np.uint8)
+                images = {key.name: rng.integers(0, 256, (20, *key.shape), np.uint8) for key in spec.image_keys}
                 made.append(Trajectory(spec.name, task, Observation(states, images), actions, seed, success=True))
     write_trajectories(experiment.data.path, specs, experiment.data.tasks, made, {"command": "tests"})
 

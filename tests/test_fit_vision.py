@@ -47,7 +47,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, data: Path) -> RunDirectory:
 
 def test_images_are_collected(data: Path) -> None:
     with TrajectoryFile.open(data / "seen.hdf5") as file:
-        image = file.trajectory("right", 0).observation.image
+        image = file.trajectory("right", 0).observation.images["camera"]
     assert image is not None
     assert image.shape[1:] == (16, 16, 3)
     assert image.max() == 255

@@ -58,7 +58,7 @@ def test_demonstrations_hold_images_and_no_target_task_of_the_target_domain(run:
     data = experiment.data
     with TrajectoryFile.open(data.path) as file:
         counts = file.counts()
-        images = {domain: file.trajectory(domain, 0).observation.image for domain in data.domains}
+        images = {domain: file.trajectory(domain, 0).observation.images["image"] for domain in data.domains}
     proxy_tasks = dict.fromkeys(data.proxy_tasks, 1)
     assert {d: {t: n for t, n in tasks.items() if n} for d, tasks in counts.items()} == {
         data.source_domain: proxy_tasks | {data.target_task: 1},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from datamodules.batches.images import Images
 from datamodules.errors import TrajectoryFileError
-from datamodules.types import DomainSpec, Observation, PackedTrajectories, Steps
+from datamodules.types import NO_IMAGES, DomainSpec, Observation, PackedTrajectories, Steps
 
 MOST_IMAGE_BYTES = 16 * 2**20  # Of images that are looked at together, outside of training
 
@@ -25,14 +25,17 @@ class StoredObservation:
     """Observations before all N steps, then the L last observations that are known."""
 
     state: Tensor  # ``(N + L, O)`` float32
-    image: Images | None  # ``(N + L, H, W, C)`` uint8, in memory or not; None without a camera or a use for it
+    images: Mapping[str, Images]
+    """By camera ``(N + L, H, W, C)`` uint8, in memory or not; empty without a camera or a use for it."""
 
     def __len__(self) -> int:
         return len(self.state)
 
     def take(self, rows: Any) -> Observation[Tensor]:
         """The observations ``(B, …)`` at ``rows``, an index array or tensor ``(B,)``, or a slice."""
-        return Observation(self.state[rows], None if self.image is None else self.image[rows])
+        if not self.images:
+            return Observation(self.state[rows])
+        return Observation(self.state[rows], {name: image[rows] for name, image in self.images.items()})
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class DomainDataset:
     """
 
     spec: DomainSpec
-    observation: StoredObservation  # State ``(N + L, O)`` float32, image ``(N + L, H, W, C)`` uint8
+    observation: StoredObservation  # State ``(N + L, O)`` float32, images ``(N + L, H, W, C)`` uint8
     action: Tensor  # ``(N, A)`` float32
     task: Tensor  # ``(N,)`` int64
     offset: np.ndarray  # ``(E + 1,)`` int64: trajectory e is rows ``offset[e]`` to ``offset[e + 1]``
@@ -77,21 +80,21 @@ class DomainDataset:
 
     def without_images(self) -> DomainDataset:
         """The same states ``(N + L, O)`` without images: nothing is read from the file for them."""
-        return replace(self, observation=replace(self.observation, image=None))
+        return replace(self, observation=replace(self.observation, images=NO_IMAGES))
 
     def pieces(self) -> Iterator[Tensor]:
         """All values, one after the other, in pieces ``(n, …)`` that fit into memory."""
         yield from (self.observation.state, self.action, self.task)
         if len(self.observation) > len(self):  # or else data without last observations would seem to have changed
             yield self.next_row
-        if self.observation.image is not None:
+        for image in self.observation.images.values():
             step = self.rows_at_a_time(len(self.observation))
-            yield from (self.observation.image[i : i + step] for i in range(0, len(self.observation), step))
+            yield from (image[i : i + step] for i in range(0, len(self.observation), step))
 
     def rows_at_a_time(self, most: int) -> int:
         """Give ``most``, or fewer steps if so many images ``(H, W, C)`` would take up too much memory."""
-        image = self.spec.image_key
-        return most if image is None else max(1, min(most, MOST_IMAGE_BYTES // math.prod(image.shape)))
+        size = sum(math.prod(key.shape) for key in self.spec.image_keys)
+        return max(1, min(most, MOST_IMAGE_BYTES // size)) if size else most
 
     def episodes_of(self, tasks: np.ndarray) -> np.ndarray:
         """Ids ``(n,)`` of the trajectories of tasks ``(K,)``, in order."""
@@ -112,7 +115,7 @@ class DomainDataset:
 def build_dataset(
     spec: DomainSpec,
     state: np.ndarray,
-    image: Images | None,
+    images: Mapping[str, Images],
     actions: np.ndarray,
     offset: np.ndarray,
     episode_task: np.ndarray,
@@ -121,12 +124,12 @@ def build_dataset(
 ) -> DomainDataset:
     """Wrap the arrays of a trajectory file, shaped as in :class:`DomainDataset`; the tensors share their memory.
 
-    last ``(E,)`` are the rows of the episodes' last observations in state and image, -1 where nobody knows them.
+    last ``(E,)`` are the rows of the episodes' last observations in state and images, -1 where nobody knows them.
     """
     tasks, next_row = episode_task.astype(np.int64), np.arange(1, len(actions) + 1)
     next_row[offset[1:] - 1] = last
     action, task, following = map(torch.from_numpy, (actions, np.repeat(tasks, np.diff(offset)), next_row))
-    observation = StoredObservation(torch.from_numpy(state), image)
+    observation = StoredObservation(torch.from_numpy(state), images)
     return DomainDataset(spec, observation, action, task, offset, tasks, episode_seed, following)
 
 

@@ -11,12 +11,13 @@ import torch
 from torch import Tensor
 
 from datamodules.store.reader import TrajectoryFile
+from datamodules.types import ObservationKey
 
 GIBIBYTE = 2**30
 
 
 class ImageFile:
-    """Images ``(N + L, H, W, C)`` of one domain that stay in their file; asked for rows as a tensor would be.
+    """Images ``(N + L, H, W, C)`` of one camera that stay in their file; asked for rows as a tensor would be.
 
     The file is read in its own compressed blocks. Blocks that were read are kept until ``kept_bytes`` are spent,
     and then for good: rows come in random order, so no block is likelier than another to be asked for next.
@@ -24,16 +25,17 @@ class ImageFile:
     Args:
         file: File of the images; it may have been closed.
         domain: Domain of the images.
+        key: Their camera.
         episodes: Numbers ``(E,)`` of episodes; their steps are the rows, then their last observations, as far as known.
         kept_bytes: Bytes of the images that may be held in memory.
     """
 
-    def __init__(self, file: TrajectoryFile, domain: str, episodes: np.ndarray, kept_bytes: int) -> None:
-        self.file, self.domain, self.kept_bytes = file, domain, kept_bytes
+    def __init__(
+        self, file: TrajectoryFile, domain: str, key: ObservationKey, episodes: np.ndarray, kept_bytes: int
+    ) -> None:
+        self.file, self.domain, self.camera, self.kept_bytes = file, domain, key.name, kept_bytes
         self.place = file.rows(domain, episodes)
-        self.block_length = file.image_block(domain)
-        key = file.spec(domain).image_key
-        assert key is not None, f"domain {domain!r} has no camera"
+        self.block_length = file.image_block(domain, key.name)
         self.shape = (len(self.place), *key.shape)
         self.blocks: dict[int, np.ndarray] = {}
         self.held_bytes = 0
@@ -55,7 +57,8 @@ class ImageFile:
     def _block(self, number: int) -> np.ndarray:
         if number in self.blocks:
             return self.blocks[number]
-        block = self.file.image_range(self.domain, number * self.block_length, (number + 1) * self.block_length)
+        start = number * self.block_length
+        block = self.file.image_range(self.domain, start, start + self.block_length, self.camera)
         if self.held_bytes + block.nbytes <= self.kept_bytes:
             self.blocks[number] = block
             self.held_bytes += block.nbytes
@@ -63,25 +66,28 @@ class ImageFile:
 
 
 Images = Tensor | ImageFile
-"""Images of all steps of a domain and those seen last, ``(N + L, H, W, C)`` uint8, wherever they are."""
+"""Images of one camera at all steps of a domain and those seen last, ``(N + L, H, W, C)`` uint8, wherever they are."""
 
 
-def stored_images(file: TrajectoryFile, episodes: Mapping[str, np.ndarray], memory: float) -> dict[str, Images]:
-    """Images ``(N + L, H, W, C)`` of chosen episodes, by domain; domains without a camera are left out.
+def stored_images(
+    file: TrajectoryFile, episodes: Mapping[str, np.ndarray], memory: float
+) -> dict[str, dict[str, Images]]:
+    """Images ``(N + L, H, W, C)`` of chosen episodes, by domain and camera.
 
     Args:
         file: File of the images.
         episodes: Numbers ``(E,)`` of the chosen episodes in their file, by domain.
-        memory: GiB that the images of all domains together may take; if they need more, they stay in the file,
+        memory: GiB that the images of all cameras together may take; if they need more, they stay in the file,
             and as much of them is kept once it was read.
     """
-    keys = {domain: file.spec(domain).image_key for domain in episodes}
-    sizes = {d: len(file.rows(d, episodes[d])) * math.prod(key.shape) for d, key in keys.items() if key}
-    needed, budget = sum(sizes.values()), int(memory * GIBIBYTE)
-    found: dict[str, Images] = {}
-    for domain, size in sizes.items():
+    rows = {domain: len(file.rows(domain, chosen)) for domain, chosen in episodes.items()}
+    keys = [(domain, key) for domain in episodes for key in file.spec(domain).image_keys]
+    sizes = [rows[domain] * math.prod(key.shape) for domain, key in keys]
+    needed, budget = sum(sizes), int(memory * GIBIBYTE)
+    found: dict[str, dict[str, Images]] = {domain: {} for domain in episodes}
+    for (domain, key), size in zip(keys, sizes, strict=True):
         if size and needed <= budget:
-            found[domain] = torch.from_numpy(file.images(domain, episodes[domain]))
+            found[domain][key.name] = torch.from_numpy(file.images(domain, episodes[domain], key.name))
         elif size:
-            found[domain] = ImageFile(file, domain, episodes[domain], budget * size // needed)
+            found[domain][key.name] = ImageFile(file, domain, key, episodes[domain], budget * size // needed)
     return found

@@ -52,6 +52,8 @@ class D4RL(Format):
 
     def write(self, file: TrajectoryFile, domain: str, out: Path) -> Sequence[str]:
         spec = file.spec(domain)
+        if not spec.state_keys:
+            refuse_source(file.path, f"images alone in domain {domain!r}", "a state, all that D4RL has a place for")
         with new_file(out) as temporary, h5py.File(temporary, "w", libver=("earliest", "v110")) as new:
             for name, values in _flat_arrays(file, domain).items():
                 new[name] = values
@@ -59,7 +61,7 @@ class D4RL(Format):
                 new[f"{TASKS}/{number}"] = task
             if spec.action_low is not None:
                 new.create_group(LIMITS).attrs.update({"low": spec.action_low, "high": spec.action_high})
-        images = ["images"] if spec.image_key else []
+        images = ["images"] if spec.image_keys else []
         return ["names of keys: D4RL has one array of observations", "seeds", "the rate", *images]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -26,15 +26,13 @@ class Demonstration(NamedTuple):
     seed: int
     success: bool
     state: np.ndarray  # ``(T + 1, O)`` float32; ``(T, O)`` if nobody knows what was seen last
-    image: np.ndarray | None  # ``(T + 1, H, W, C)`` or ``(T, H, W, C)`` uint8
+    images: Mapping[str, np.ndarray]  # By camera ``(T + 1, H, W, C)`` or ``(T, H, W, C)`` uint8
     actions: np.ndarray  # ``(T, A)`` float32 in [-1, 1]
 
     def values(self, spec: DomainSpec) -> dict[str, np.ndarray]:
         """Observations by key: ``(T + 1, n)`` float32, ``(T + 1, H, W, C)`` uint8; T rows if the last is unknown."""
         values = {key.name: self.state[:, spec.columns([key.name])] for key in spec.state_keys}
-        if spec.image_key is not None and self.image is not None:
-            values[spec.image_key.name] = self.image
-        return values
+        return values | dict(self.images)
 
 
 def demonstrations(file: TrajectoryFile, domain: str) -> Iterator[Demonstration]:
@@ -42,7 +40,7 @@ def demonstrations(file: TrajectoryFile, domain: str) -> Iterator[Demonstration]
     for number in range(len(file.episodes(domain).task)):
         found = file.trajectory(domain, number)
         observation = found.observation
-        yield Demonstration(found.task, found.seed, found.success, observation.state, observation.image, found.actions)
+        yield Demonstration(found.task, found.seed, found.success, observation.state, observation.images, found.actions)
 
 
 @contextmanager

@@ -64,10 +64,12 @@ class Frames:
                 raise TrajectoryFileError(f"{self.place}, step {step}: found {found}; expected {self.shape[1:]}, uint8")
             yield image
 
-    def resized(self, size: tuple[int, int]) -> Frames:
-        """The same images in another size ``(H, W)``, smoothed."""
-        shape = (len(self), *size, self.shape[3])
-        return self if shape == self.shape else Frames(shape, lambda: map(_resizer(size), self._checked()), self.place)
+    def resized(self, shape: tuple[int, ...]) -> Frames:
+        """The same images in another size ``(H, W, C)``, smoothed."""
+        if shape == self.shape[1:]:
+            return self
+        resize = _resizer((shape[0], shape[1]))
+        return Frames((len(self), *shape), lambda: map(resize, self._checked()), self.place)
 
 
 def _resizer(size: tuple[int, int]) -> Callable[[np.ndarray], np.ndarray]:

@@ -109,5 +109,5 @@ def _told(done: Imported) -> dict[str, Any]:
 
 def _trajectory(one: Read, spec: DomainSpec, options: ImportOptions, scaled: bool) -> Trajectory:
     actions = scale(one.episode, spec, options, scaled)
-    observation = Observation(one.state, cast("np.ndarray | None", one.image))
+    observation = Observation(one.state, cast("Mapping[str, np.ndarray]", one.images))
     return Trajectory(spec.name, one.task, observation, actions, one.seed, one.episode.success is not False)

@@ -92,9 +92,9 @@ class _Writer:
 
     def _columns(self, one: Demonstration, number: int) -> dict[str, np.ndarray]:
         steps = np.arange(len(one.actions))
-        columns = {"observation.state": one.state[: len(steps)], "action": self.spec.owner_actions(one.actions)}
-        if self.spec.image_key is not None and one.image is not None:
-            columns[_camera(self.spec)] = one.image[: len(steps)]
+        columns = {"observation.state": one.state[: len(steps)]} if self.spec.state_keys else {}
+        columns["action"] = self.spec.owner_actions(one.actions)
+        columns |= {_camera(name): images[: len(steps)] for name, images in one.images.items()}
         return columns | {
             SUCCESS: (steps == steps[-1]) & one.success,
             "timestamp": (steps / self.spec.control_hz).astype(np.float32),
@@ -139,9 +139,8 @@ class _Writer:
         return info | (old if self.version == "2.1" else new)
 
 
-def _camera(spec: DomainSpec) -> str:
-    assert spec.image_key is not None
-    return f"observation.images.{spec.image_key.name}"
+def _camera(name: str) -> str:
+    return f"observation.images.{name.removeprefix('observation.images.')}"
 
 
 def _features(spec: DomainSpec) -> dict[str, dict[str, Any]]:
@@ -150,13 +149,11 @@ def _features(spec: DomainSpec) -> dict[str, dict[str, Any]]:
     kind = "float32" if spec.action_low is None else "float64"
     limits = {} if spec.action_low is None else {"low": spec.action_low, "high": spec.action_high}
     action = {"dtype": kind, "shape": [spec.action_size], "names": [f"action_{i}" for i in range(spec.action_size)]}
-    found: dict[str, dict[str, Any]] = {
-        "observation.state": {"dtype": "float32", "shape": [spec.state_size], "names": parts},
-        "action": action | limits,
-    }
-    if spec.image_key is not None:
+    state = {"observation.state": {"dtype": "float32", "shape": [spec.state_size], "names": parts}}
+    found: dict[str, dict[str, Any]] = {**(state if parts else {}), "action": action | limits}
+    for key in spec.image_keys:
         names = ["height", "width", "channels"]
-        found[_camera(spec)] = {"dtype": "image", "shape": [*spec.image_key.shape], "names": names}
+        found[_camera(key.name)] = {"dtype": "image", "shape": [*key.shape], "names": names}
     single = {SUCCESS: "bool", "timestamp": "float32"}
     single |= dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
     return found | {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in single.items()}

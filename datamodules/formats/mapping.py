@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,10 +28,11 @@ class ImportOptions:
     Args:
         domain: Name of the domain that they are of.
         state: Keys of the state, in this order; every vector if none is named.
-        image: Key of the camera; needed if there are several, for a domain has one.
+        without_state: Leave all vectors out: the domain shows images alone.
+        image: Keys of the cameras, in this order; every camera if none is named.
         without_images: Leave all cameras out.
         rename: Other names for keys, each as OLD=NEW.
-        resize: Height and width of the images in our file.
+        resize: Height and width of the images in our file, such as 64 64; of one camera as KEY=64x64.
         task: Task of all demonstrations.
         task_key: Key or info whose value, the same in all steps of a demonstration, is its task.
         task_map: JSON file with an object: task in the source → its name in our file, or null to leave it out.
@@ -44,10 +46,11 @@ class ImportOptions:
 
     domain: str
     state: tuple[str, ...] = ()
-    image: str | None = None
+    without_state: bool = False
+    image: tuple[str, ...] = ()
     without_images: bool = False
     rename: tuple[str, ...] = ()
-    resize: tuple[int, ...] = ()
+    resize: tuple[str, ...] = ()
     task: str | None = None
     task_key: str | None = None
     task_map: Path | None = None
@@ -61,14 +64,15 @@ class ImportOptions:
     def __post_init__(self) -> None:
         if not is_name(self.domain):
             raise ConfigError(f"--domain is {self.domain!r}; expected 1 to 64 letters, digits, '_', '.', '-'")
-        if self.resize and (len(self.resize) != 2 or not image_shape((*self.resize, 3)) or min(self.resize) < 1):
-            raise ConfigError(f"--resize is {' '.join(map(str, self.resize))}; expected height and width in pixels")
+        read_sizes(self.resize)
         if not 0 <= self.first_seed < 2**32:
             raise ConfigError(f"--first_seed is {self.first_seed}; expected a whole number from 0 to {2**32 - 1}")
         if bool(self.action_low) != bool(self.action_high):
             raise ConfigError("one of --action_low and --action_high is missing; expected both or neither")
-        if self.image and self.without_images:
-            raise ConfigError("--image and --without_images contradict each other; leave one away")
+        for name, left in (("image", self.without_images), ("state", self.without_state)):
+            if left and getattr(self, name):
+                other = "--without_images" if name == "image" else "--without_state"
+                raise ConfigError(f"--{name} and {other} contradict each other; leave one away")
 
 
 @dataclass(frozen=True)
@@ -76,57 +80,83 @@ class Selection:
     """The part of a source that becomes our observations."""
 
     state: tuple[SourceKey, ...]
-    image: SourceKey | None
-    observation: tuple[ObservationKey, ...]  # What they are in our file, in this order, the image last
+    images: tuple[SourceKey, ...]
+    observation: tuple[ObservationKey, ...]  # What they are in our file, in this order, images last
     dropped: dict[str, str]  # What is left out, and why
 
     @property
     def keys(self) -> tuple[SourceKey, ...]:
         """All keys that are read as observations."""
-        return self.state if self.image is None else (*self.state, self.image)
+        return (*self.state, *self.images)
+
+    @property
+    def cameras(self) -> list[tuple[SourceKey, ObservationKey]]:
+        """Cameras in the source, and what they are in our file."""
+        return [*zip(self.images, self.observation[len(self.state) :], strict=True)]
 
 
 def select(source: SourceDescription, options: ImportOptions) -> Selection:
-    """Choose the keys that the options name, or all vectors and the only camera.
+    """Choose the keys that the options name, or all vectors and all cameras.
 
     Raises:
-        ConfigError: If they name a key that is not there or of another kind, or there are several cameras to choose.
+        ConfigError: If they name a key that is not there or of another kind, or twice.
     """
-    state, image = _state(source, options), _image(source, options)
-    chosen = state if image is None else (*state, image)
-    names = _names(chosen, options.rename)
+    state, images = _state(source, options), _images(source, options)
+    chosen = (*state, *images)
+    if not chosen:
+        refuse_source(source.place, "no vector to make a state of, and no camera", "one at least: name it by --state")
+    names, sizes = _names(chosen, options.rename), read_sizes(options.resize)
+    for name in sizes:
+        if name and name not in (known := [key.name for key in images]):
+            unknown(name, known, f"{source.place}: --resize")
     observation = [ObservationKey(names[key.name], (math.prod(key.shape),)) for key in state]
-    if image is not None:
-        shape = (*options.resize, image.shape[2]) if options.resize else image.shape
-        observation.append(ObservationKey(names[image.name], shape, "image"))
+    for key in images:
+        size = sizes.get(key.name, sizes.get("", key.shape[:2]))
+        observation.append(ObservationKey(names[key.name], (*size, key.shape[2]), "image"))
     others = [key for key in source.keys if key not in chosen and key.name != options.task_key]
     reasons = {key.name: _reason(key, bool(options.state)) for key in others}
-    return Selection(state, image, tuple(observation), {**source.dropped, **reasons})
+    return Selection(state, images, tuple(observation), {**source.dropped, **reasons})
 
 
 def _state(source: SourceDescription, options: ImportOptions) -> tuple[SourceKey, ...]:
     vectors = [key for key in source.keys if not key.image]
-    if not options.state:
-        chosen = tuple(key for key in vectors if len(key.shape) < 2 and not key.aside)
-        return chosen or refuse_source(source.place, "no vector to make a state of", "at least one: name it by --state")
-    if len({*options.state}) < len(options.state):
-        raise ConfigError(f"--state is {' '.join(options.state)}; expected every key once")
-    return tuple(_find(name, vectors, source, "--state") for name in options.state)
+    if options.state:
+        return _find(options.state, vectors, source, "--state")
+    return tuple(key for key in vectors if len(key.shape) < 2 and not key.aside and not options.without_state)
 
 
-def _image(source: SourceDescription, options: ImportOptions) -> SourceKey | None:
+def _images(source: SourceDescription, options: ImportOptions) -> tuple[SourceKey, ...]:
     cameras = [key for key in source.keys if key.image]
-    if options.without_images or not (cameras or options.image):
-        return None
-    if options.image is None and len(cameras) > 1:
-        names = ", ".join(key.name for key in cameras)
-        refuse_source(source.place, f"the cameras {names}", "one a domain: name it by --image, or add --without_images")
-    return cameras[0] if options.image is None else _find(options.image, cameras, source, "--image")
+    if options.image:
+        return _find(options.image, cameras, source, "--image")
+    return () if options.without_images else tuple(cameras)
 
 
-def _find(name: str, keys: Sequence[SourceKey], source: SourceDescription, option: str) -> SourceKey:
-    found = next((key for key in keys if key.name == name), None)
-    return found or unknown(name, [key.name for key in keys], f"{source.place}: {option}")
+def _find(
+    names: Sequence[str], keys: Sequence[SourceKey], source: SourceDescription, option: str
+) -> tuple[SourceKey, ...]:
+    if len({*names}) < len(names):
+        raise ConfigError(f"{option} is {' '.join(names)}; expected every key once")
+    known = {key.name: key for key in keys}
+    return tuple(known.get(name) or unknown(name, [*known], f"{source.place}: {option}") for name in names)
+
+
+def read_sizes(words: Sequence[str]) -> dict[str, tuple[int, int]]:
+    """Read heights and widths by camera; under the empty name that of all others, which stands in two words.
+
+    Raises:
+        ConfigError: If a word is no such size.
+    """
+    plain, named = ([word for word in words if ("=" in word) is told] for told in (False, True))
+    pairs = [("", "x".join(plain)), *((key, size) for key, _, size in (word.rpartition("=") for word in named))]
+    sizes: dict[str, tuple[int, int]] = {}
+    for key, size in pairs if plain else pairs[1:]:
+        found = re.fullmatch(r"([1-9]\d{0,8})x([1-9]\d{0,8})", size)
+        if found is None or not image_shape((int(found[1]), int(found[2]), 3)):
+            told = f"--resize is {' '.join(words)}"
+            raise ConfigError(f"{told}; expected height and width in pixels, or KEY=HEIGHTxWIDTH for one camera")
+        sizes[key] = int(found[1]), int(found[2])
+    return sizes
 
 
 def unknown(name: str, known: Sequence[str], place: str) -> NoReturn:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ class Read(NamedTuple):
     task: str
     seed: int
     state: np.ndarray  # ``(T + 1, O)`` float32; ``(T, O)`` if nobody knows what was seen last
-    image: Frames | None
+    images: Mapping[str, Frames]  # By name in our file
 
 
 def read_sources(
@@ -84,7 +84,7 @@ def _read(
         elif len(episode.actions) == 0:
             dropped["without a single action"] += 1
         else:
-            yield _checked(episode, task, selection, options, described.action_size)
+            yield _checked(episode, task, selection, described.action_size)
     found = described.lacks or (f"{count} demonstrations of {described.episodes}" if count < described.episodes else "")
     if found and not options.incomplete:
         refuse_source(described.place, found, "all of them: get the rest, or add --incomplete")
@@ -109,18 +109,19 @@ def _wanted(source: SourceDescription, selection: Selection, options: ImportOpti
     return [*wanted, told] if told in known else unknown(told, known, f"{source.place}: --task_key")
 
 
-def _checked(episode: SourceEpisode, task: str, selection: Selection, options: ImportOptions, action_size: int) -> Read:
+def _checked(episode: SourceEpisode, task: str, selection: Selection, action_size: int) -> Read:
     actions = episode.actions
     if actions.ndim != 2 or actions.shape[1] != action_size or actions.dtype.kind not in "fiu":
         episode.refuse("actions", f"shape {actions.shape}, type {actions.dtype}", f"(T, {action_size}), numbers")
     _check_finite(episode, "actions", actions)
     _check_rows(episode, selection.keys)
-    state = np.concatenate([_vector(episode, key) for key in selection.state], axis=1)
-    image = None if selection.image is None else cast("Frames", episode.values[selection.image.name])
-    if image is not None and options.resize:
-        image = image.resized((options.resize[0], options.resize[1]))
+    rows = len(episode.values[selection.keys[0].name])
+    state = np.concatenate([np.empty((rows, 0), np.float32), *(_vector(episode, key) for key in selection.state)], 1)
+    images = {
+        ours.name: cast("Frames", episode.values[key.name]).resized(ours.shape) for key, ours in selection.cameras
+    }
     seed = -1 if episode.seed is None or not 0 <= episode.seed < 2**63 else episode.seed
-    return Read(replace(episode, values={}), task, seed, state, image)
+    return Read(replace(episode, values={}), task, seed, state, images)
 
 
 def _check_rows(episode: SourceEpisode, keys: Sequence[SourceKey]) -> None:

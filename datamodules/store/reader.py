@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -39,13 +39,13 @@ class DomainArrays(NamedTuple):
     """Chosen episodes of one domain, laid end to end: N steps of E episodes, then the L last observations known."""
 
     state: np.ndarray  # ``(N + L, O)`` float32: the domain's state keys, concatenated in the order of its spec
-    image: np.ndarray | None
-    """``(N + L, H, W, C)`` uint8; None in a domain without a camera, or if images were not asked for."""
+    images: Mapping[str, np.ndarray]
+    """By camera ``(N + L, H, W, C)`` uint8; empty in a domain without one, or if images were not asked for."""
     actions: np.ndarray  # ``(N, A)`` float32 in [-1, 1]
     offset: np.ndarray  # ``(E + 1,)`` int64: where each episode begins, and N
     task: np.ndarray  # ``(E,)`` task names
     last: np.ndarray
-    """``(E,)`` int64: row of state and image that holds an episode's last observation; -1 if nobody knows."""
+    """``(E,)`` int64: row of state and images that holds an episode's last observation; -1 if nobody knows."""
 
 
 class TrajectoryFile:
@@ -127,18 +127,16 @@ class TrajectoryFile:
         Args:
             domain: Name of the domain.
             episodes: Numbers ``(E,)`` of episodes in any order; None for all.
-            images: Whether to read images ``(N + L, H, W, C)``, if the domain has a camera.
+            images: Whether to read images ``(N + L, H, W, C)``, if the domain has cameras.
         """
         spec, table = self.spec(domain), self.episodes(domain)
         chosen, rows = self._chosen(domain, episodes), self.rows(domain, episodes)
         offset = np.concatenate([[0], np.cumsum(np.diff(table.offset)[chosen])]).astype(np.int64)
         known = table.last[chosen] >= 0
         last = np.where(known, offset[-1] + np.cumsum(known) - 1, -1)
-        columns = [self._gather(f"/domains/{domain}/obs/{key.name}", rows) for key in spec.state_keys]
-        state = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
-        image = self.images(domain, episodes) if images and spec.image_key else None
+        seen = {key.name: self.images(domain, episodes, key.name) for key in spec.image_keys if images}
         actions = self._gather(f"/domains/{domain}/actions", rows[: offset[-1]])
-        return DomainArrays(state, image, actions, offset, table.task[chosen], last)
+        return DomainArrays(self._state(spec, rows), seen, actions, offset, table.task[chosen], last)
 
     def rows(self, domain: str, episodes: Chosen = None) -> np.ndarray:
         """Rows ``(N + L,)`` int64 of episodes in the domain's arrays: all their steps, then their last observations."""
@@ -148,25 +146,28 @@ class TrajectoryFile:
         last = self.episodes(domain).last[chosen]
         return np.concatenate([np.repeat(starts, lengths) + np.arange(lengths.sum()), last[last >= 0]])
 
-    def images(self, domain: str, episodes: Chosen = None) -> np.ndarray:
-        """Images of episodes ``(N + L, H, W, C)`` uint8, end to end, then those seen last, as far as known."""
-        return self._stream(self._camera(domain), self.rows(domain, episodes))
+    def images(self, domain: str, episodes: Chosen = None, camera: str | None = None) -> np.ndarray:
+        """Images of episodes ``(N + L, H, W, C)`` uint8, end to end, then those seen last, as far as known.
 
-    def image_range(self, domain: str, start: int, stop: int) -> np.ndarray:
+        They are of one camera, which needs no name where a domain has no other.
+        """
+        return self._stream(self._camera(domain, camera), self.rows(domain, episodes))
+
+    def image_range(self, domain: str, start: int, stop: int, camera: str | None = None) -> np.ndarray:
         """Images of the rows ``start`` to ``stop`` (or the end) of a domain's observations, ``(n, H, W, C)`` uint8."""
-        camera = self._camera(domain)
-        return self._stream(camera, np.arange(start, min(stop, len(self._array(camera)))))
+        place = self._camera(domain, camera)
+        return self._stream(place, np.arange(start, min(stop, len(self._array(place)))))
 
-    def image_block(self, domain: str) -> int:
+    def image_block(self, domain: str, camera: str | None = None) -> int:
         """Images that are compressed together, and so cost no more to read than one of them."""
-        chunks = self._array(self._camera(domain)).chunks
+        chunks = self._array(self._camera(domain, camera)).chunks
         return 1 if chunks is None else int(chunks[0])
 
     def trajectory(self, domain: str, episode: int) -> Trajectory:
         """Read one demonstration: states ``(T + 1, O)``, actions ``(T, A)``."""
         table, arrays = self.episodes(domain), self.read(domain, [episode])
         told = int(table.seed[episode]), bool(table.success[episode])
-        observation = Observation(arrays.state, arrays.image)
+        observation = Observation(arrays.state, arrays.images)
         return Trajectory(domain, str(table.task[episode]), observation, arrays.actions, *told)
 
     def damaged(self) -> list[str]:
@@ -174,11 +175,20 @@ class TrajectoryFile:
         paths = [place for spec in self.domains for place in schema.array_paths(spec, self.version)]
         return [place for place in paths if self.hashes.get(place) != self._stored_digest(place)]
 
-    def _camera(self, domain: str) -> str:
-        key = self.spec(domain).image_key
-        if key is None:
+    def _state(self, spec: DomainSpec, rows: np.ndarray) -> np.ndarray:
+        columns = [self._gather(f"/domains/{spec.name}/obs/{key.name}", rows) for key in spec.state_keys]
+        if len(columns) == 1:
+            return columns[0]
+        return np.concatenate([np.empty((len(rows), 0), np.float32), *columns], axis=1)
+
+    def _camera(self, domain: str, camera: str | None) -> str:
+        cameras = [key.name for key in self.spec(domain).image_keys]
+        if not cameras:
             raise UserError(f"{self.path}: domain {domain!r} has no camera; ask for its state alone")
-        return f"/domains/{domain}/obs/{key.name}"
+        if camera not in cameras and (camera is not None or len(cameras) > 1):
+            asked = "no camera was named" if camera is None else f"no camera {camera!r}"
+            raise UserError(f"{self.path}: {asked} of domain {domain!r}; it has: {', '.join(cameras)}")
+        return f"/domains/{domain}/obs/{camera or cameras[0]}"
 
     def _stored_digest(self, place: str) -> str:
         try:

@@ -19,7 +19,7 @@ from datamodules.store.atomic import replacing
 from datamodules.store.patient import PatientFile
 from datamodules.store.reader import TrajectoryFile, verify_hashes
 from datamodules.store.schema import HEADER, Header, check_spec, check_tasks, digest, write_header
-from datamodules.types import DomainSpec, Trajectory
+from datamodules.types import DomainSpec, ObservationKey, Trajectory
 
 IMAGE_CHUNK = 8
 """Frames in a compressed block: few, to read single frames; enough to profit from a scene that stands still."""
@@ -35,7 +35,8 @@ class Episode(NamedTuple):
     success: bool
     state: np.ndarray  # ``(T + 1, O)`` float32; ``(T, O)`` if nobody knows what was seen last
     actions: np.ndarray  # ``(T, A)`` float32
-    image: Callable[[], np.ndarray | None]  # Gives ``(T + 1, H, W, C)`` or ``(T, H, W, C)`` uint8, or None
+    cameras: tuple[str, ...]
+    image: Callable[[str], np.ndarray]  # Gives a camera's ``(T + 1, H, W, C)`` or ``(T, H, W, C)`` uint8
 
 
 def plain_json(provenance: Mapping[str, Any]) -> dict[str, Any]:
@@ -86,11 +87,11 @@ def stored_episodes(
     if domain not in {spec.name for spec in file.domains}:
         return []
     (offset, task, seed, success, last), arrays = file.episodes(domain), file.read(domain, images=False)
-    episodes, giver = [], opened or (lambda: file)
+    episodes, giver, cameras = [], opened or (lambda: file), tuple(key.name for key in file.spec(domain).image_keys)
     for number, (start, stop) in enumerate(itertools.pairwise(offset)):
         rows, image = np.append(np.arange(start, stop), last[number]), partial(_image, giver, domain, number)
         told = str(task[number]), int(seed[number]), bool(success[number])
-        episodes.append(Episode(*told, arrays.state[rows[rows >= 0]], arrays.actions[start:stop], image))
+        episodes.append(Episode(*told, arrays.state[rows[rows >= 0]], arrays.actions[start:stop], cameras, image))
     return episodes
 
 
@@ -129,7 +130,7 @@ def _write(output: Output, header: Header, episodes: Mapping[str, Sequence[Episo
 
 def _most_bytes(header: Header, episodes: Mapping[str, Sequence[Episode]]) -> int:
     """Bytes that the arrays take if nothing in them can be compressed."""
-    frames = {spec.name: math.prod(spec.image_key.shape) if spec.image_key else 0 for spec in header.domains}
+    frames = {spec.name: sum(math.prod(key.shape) for key in spec.image_keys) for spec in header.domains}
     each = ((e, frames[name]) for name, found in episodes.items() for e in found)
     return sum(e.state.nbytes + e.actions.nbytes + len(e.state) * frame for e, frame in each)
 
@@ -161,9 +162,8 @@ def _write_domain(
     }
     place = f"/domains/{spec.name}"
     hashes = {f"{place}/{name}": _write_array(output, f"{place}/{name}", array) for name, array in arrays.items()}
-    if spec.image_key is not None:
-        images = f"{place}/obs/{spec.image_key.name}"
-        hashes[images] = _write_images(output, images, (len(state), *spec.image_key.shape), episodes)
+    for camera in spec.image_keys:
+        hashes[f"{place}/obs/{camera.name}"] = _write_images(output, place, camera, len(state), episodes)
     for key in spec.observation:
         written = output.file[f"{place}/obs/{key.name}"]
         written.attrs.update({"kind": key.kind, "unit": key.unit, "shape": key.shape})
@@ -185,20 +185,20 @@ def _chunk(rows: int, shape: tuple[int, ...]) -> tuple[int, ...]:
     return (min(rows, shape[0]), *shape[1:])
 
 
-def _write_images(output: Output, place: str, shape: tuple[int, ...], episodes: Sequence[Episode]) -> str:
-    if not shape[0]:
+def _write_images(output: Output, domain: str, key: ObservationKey, rows: int, episodes: Sequence[Episode]) -> str:
+    place, shape = f"{domain}/obs/{key.name}", (rows, *key.shape)
+    if not rows:
         return _write_array(output, place, np.empty(shape, np.uint8))
     lzf = {"chunks": _chunk(IMAGE_CHUNK, shape), "compression": "lzf"}
     storage = _gzip(IMAGE_CHUNK, shape) if output.images == "gzip" else lzf
     array = output.file.create_dataset(place, shape, np.uint8, **storage)
-    return digest(array.dtype, shape, _written(array, episodes, output.disk))
+    return digest(array.dtype, shape, _written(array, key.name, episodes, output.disk))
 
 
-def _written(array: h5py.Dataset, episodes: Iterable[Episode], disk: PatientFile) -> Iterator[np.ndarray]:
+def _written(array: h5py.Dataset, camera: str, episodes: Iterable[Episode], disk: PatientFile) -> Iterator[np.ndarray]:
     start, last = 0, [np.empty((0, *array.shape[1:]), array.dtype)]
     for episode in episodes:
-        images, steps = episode.image(), len(episode.actions)
-        assert images is not None, "a domain with a camera has images, as was checked"
+        images, steps = episode.image(camera), len(episode.actions)
         array[start : start + steps] = images[:steps]
         disk.check()
         start += steps
@@ -209,9 +209,8 @@ def _written(array: h5py.Dataset, episodes: Iterable[Episode], disk: PatientFile
     yield ends
 
 
-def _image(opened: Callable[[], TrajectoryFile], domain: str, episode: int) -> np.ndarray | None:
-    file = opened()
-    return file.images(domain, [episode]) if file.spec(domain).image_key else None
+def _image(opened: Callable[[], TrajectoryFile], domain: str, episode: int, camera: str) -> np.ndarray:
+    return opened().images(domain, [episode], camera)
 
 
 def _check_names(trajectory: Trajectory, specs: Mapping[str, DomainSpec], tasks: Sequence[str]) -> None:
@@ -223,20 +222,28 @@ def _check_names(trajectory: Trajectory, specs: Mapping[str, DomainSpec], tasks:
 
 def _episode(trajectory: Trajectory, spec: DomainSpec) -> Episode:
     state, actions = (np.asarray(array, np.float32) for array in (trajectory.observation.state, trajectory.actions))
-    image, camera = trajectory.observation.image, spec.image_key
+    images = trajectory.observation.images
     steps, seen = len(trajectory), len(trajectory) + trajectory.last_known
     if state.shape != (seen, spec.state_size):
         _refuse(trajectory, f"state of shape {state.shape}", f"{(seen, spec.state_size)}", "check the domain's keys")
     if actions.shape != (steps, spec.action_size):
         _refuse(trajectory, f"actions of shape {actions.shape}", f"{(steps, spec.action_size)}", "check the expert")
-    wanted = None if camera is None else ((seen, *camera.shape), np.dtype(np.uint8))
-    found = None if image is None else (image.shape, image.dtype)
-    if found != wanted:
-        _refuse(trajectory, f"images {found}", f"{wanted}", "check the domain's camera")
+    _check_images(trajectory, spec, seen)
     _check_values(trajectory, spec, state, actions)
     told = trajectory.task, int(trajectory.seed), bool(trajectory.success)
     # An importer's images are read no sooner than they are asked for here.
-    return Episode(*told, state, actions, lambda: None if image is None else np.asarray(image))
+    return Episode(*told, state, actions, tuple(images), lambda camera: np.asarray(images[camera]))
+
+
+def _check_images(trajectory: Trajectory, spec: DomainSpec, rows: int) -> None:
+    images, cameras = trajectory.observation.images, {key.name: key.shape for key in spec.image_keys}
+    if images.keys() != cameras.keys():
+        found, wanted = (", ".join(names) or "none" for names in (images, cameras))
+        _refuse(trajectory, f"images of the cameras {found}", wanted, "check the domain's cameras")
+    for name, shape in cameras.items():
+        expected, given = ((rows, *shape), np.dtype(np.uint8)), (images[name].shape, images[name].dtype)
+        if given != expected:
+            _refuse(trajectory, f"images {given} of {name!r}", f"{expected}", "check the domain's cameras")
 
 
 def _check_values(trajectory: Trajectory, spec: DomainSpec, state: np.ndarray, actions: np.ndarray) -> None:

@@ -18,9 +18,10 @@ from datamodules.store.guard import MAX_OBJECTS, is_name
 from datamodules.types import DomainSpec, ObservationKey
 
 FORMAT = "plp-trajectories"
-FORMAT_VERSION = "1.1"  # Of files that are written, unless they hold what only the latest can
-LATEST_VERSION = "1.2"  # Has limits of actions, and tasks that are sentences
-READABLE = (LATEST_VERSION, FORMAT_VERSION, "1.0")
+FORMAT_VERSION = "1.1"  # Of files that are written, unless they hold what only a later one can
+SENTENCES_VERSION = "1.2"  # Has limits of actions, and tasks that are sentences
+LATEST_VERSION = "1.3"  # Has domains of several cameras, and domains without a state
+READABLE = (LATEST_VERSION, SENTENCES_VERSION, FORMAT_VERSION, "1.0")
 MAX_TASK_BYTES = 500
 HEADER = "header"
 EPISODE_COLUMNS: dict[str, type[np.generic]] = {
@@ -52,8 +53,10 @@ class Header:
 
 def version_of(header: Header) -> str:
     """Earliest version of the format that can hold a file, so that it stays readable for as many as can be."""
+    if any(len(spec.image_keys) > 1 or not spec.state_keys for spec in header.domains):
+        return LATEST_VERSION
     limited = any(spec.action_low is not None for spec in header.domains)
-    return LATEST_VERSION if limited or not all(map(is_name, header.tasks)) else FORMAT_VERSION
+    return SENTENCES_VERSION if limited or not all(map(is_name, header.tasks)) else FORMAT_VERSION
 
 
 def episode_columns(version: str) -> dict[str, type[np.generic]]:
@@ -90,8 +93,8 @@ def check_spec(spec: DomainSpec, place: str) -> None:
     """Refuse, by a :class:`TrajectoryFileError`, a domain with a name, shape, size or rate that cannot be stored."""
     keys = [key.name for key in spec.observation]
     _check_each([spec.name, *keys], place, "name")
-    if len(set(keys)) < len(keys) or sum(key.kind == "image" for key in spec.observation) > 1:
-        _fail(place, f"observation keys {', '.join(keys)}", "different names and at most one image")
+    if len(set(keys)) < len(keys):
+        _fail(place, f"observation keys {', '.join(keys)}", "different names")
     ranks = {"state": 1, "image": 3}
     for key in spec.observation:
         if len(key.shape) != ranks.get(key.kind) or min(key.shape) < 1:
@@ -197,8 +200,8 @@ def _read_spec(file: h5py.File, name: str, path: Path) -> DomainSpec:
         _fail(place, "no group of that name", f"/domains/{name}")
     attrs = file[f"domains/{name}"].attrs
     keys = tuple(_read_key(file, f"/domains/{name}/obs", key, path) for key in json.loads(attrs["observation"]))
-    if not any(key.kind == "state" for key in keys):
-        _fail(place, "no state key", "at least one")
+    if not keys:
+        _fail(place, "no observation key", "at least one")
     limits = [tuple(map(float, attrs[limit])) if limit in attrs else None for limit in ("action_low", "action_high")]
     spec = DomainSpec(name, keys, int(attrs["action_size"]), float(attrs["control_hz"]), str(attrs["env"]), *limits)
     check_spec(spec, place)

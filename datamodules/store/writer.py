@@ -149,8 +149,9 @@ def _same(one: Episode, other: Episode) -> bool:
     vectors = (one.actions, other.actions), (one.state[:rows], other.state[:rows])
     if one.success != other.success or not all(np.array_equal(*pair) for pair in vectors):
         return False
-    ours, theirs = (np.array(()) if image is None else image[:rows] for image in (one.image(), other.image()))
-    return np.array_equal(ours, theirs)
+    return one.cameras == other.cameras and all(
+        np.array_equal(one.image(camera)[:rows], other.image(camera)[:rows]) for camera in one.cameras
+    )
 
 
 def _check_specs(path: Path, olds: Sequence[DomainSpec], news: Sequence[DomainSpec]) -> None:

@@ -84,4 +84,4 @@ def _hashes(phase: LightningModule) -> dict[str, str]:
 
 
 def _frozen(phase: LightningModule) -> dict[str, nn.Module]:
-    return phase.frozen if isinstance(phase, Phase) else {}
+    return {**phase.policy.frozen, **phase.frozen} if isinstance(phase, Phase) else {}

@@ -17,12 +17,12 @@ from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.plp.terms import AlignmentTerm
 from plp_lightning.methods.policy import Policy
-from plp_lightning.networks import ImageEncoding
+from plp_lightning.networks import ImageEncoderFactory
 
 ALLOWED_IMPORTS = ["plp_lightning", "datamodules", "lightning.pytorch.callbacks", "torchmetrics", "torch.optim"]
 """Packages that a configuration may import from; a file that names another is refused before the import happens."""
 ROOTS = (
-    *(Policy, Phase, AlignmentTerm, ImageEncoding, Simulator, Expert, AlignmentScore, BehaviourMetric),
+    *(Policy, Phase, AlignmentTerm, ImageEncoderFactory, Simulator, Expert, AlignmentScore, BehaviourMetric),
     *(Callback, Optimizer, LRScheduler),
 )
 """Their subclasses are what a configuration names."""

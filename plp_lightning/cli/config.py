@@ -31,6 +31,7 @@ from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation import mixing  # noqa: F401
 from plp_lightning.evaluation.scores import AlignmentScore
+from plp_lightning.networks import ImageEncoderFactory
 from plp_lightning.plugins import find_in_working_folder, plugins
 from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory
 from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
@@ -167,7 +168,8 @@ def _listed(value: str) -> str:
 def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, list[str]]:
     """Flags that choose a class, or leave a part away, as a configuration; and the others."""
     part = rf"policy|{'|'.join(map(re.escape, phases))}|domains\.\w+\.(?:simulator|expert)"
-    place = re.compile(rf"--((?:{part})(?:\.terms(?:\.\w+)?|\.optimizer|\.lr_scheduler?|\.clip)?)(\.class_path)?")
+    inner = r"terms(?:\.\w+)?|optimizer|lr_scheduler?|clip|image_encoder"
+    place = re.compile(rf"--((?:{part})(?:\.(?:{inner}))?)(\.class_path)?")
     chosen: Tree = {}
     rest, words = [], iter(flags)
     for word in words:
@@ -179,7 +181,7 @@ def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, lis
         content = _read(value if joint else next(words, ""))
         if found[2] or (isinstance(content, str) and not found[1].endswith(".lr_schedule")):
             content = {"class_path": content}
-        insert(chosen, re.sub(r"^(\w+)\.(?=terms|optimizer|lr_schedule|clip)", r"\1.init_args.", found[1]), content)
+        insert(chosen, re.sub(rf"^(\w+)\.(?={inner})", r"\1.init_args.", found[1]), content)
     return chosen, rest
 
 
@@ -225,7 +227,10 @@ def allow_imports(packages: Sequence[str]) -> None:
     for name in packages:
         _check_package(name)
     set_parsing_settings(
-        import_path_denylist=["*"], import_path_allowlist=list(packages), config_read_mode_fsspec_enabled=False
+        import_path_denylist=["*"],
+        import_path_allowlist=list(packages),
+        config_read_mode_fsspec_enabled=False,
+        subclasses_enabled=[ImageEncoderFactory],
     )
     set_loader("yaml", _value, (yaml.YAMLError,))
 

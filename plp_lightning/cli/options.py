@@ -20,6 +20,16 @@ class OptionParser(argparse.ArgumentParser):
         raise ConfigError(f"{message}; see {self.prog} --help")
 
 
+class _Gather(argparse.Action):
+    """Takes one value or more, and what is given again beside what was given before, in the place of the default."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        before = getattr(namespace, self.dest)  # the default is no list
+        setattr(namespace, self.dest, [*(before if isinstance(before, list) else ()), *values])
+
+
 def positive(text: str) -> int:
     """A count: a whole number of at least 1, up to a thousand million."""
     return _number(text, 1, 1_000_000_000, "at least 1")
@@ -85,7 +95,7 @@ def _reader(hint: Any) -> dict[str, Any]:
     if hint is bool:
         return {"action": "store_true"}
     if get_origin(hint) is tuple:
-        return {"type": get_args(hint)[0], "nargs": "+"}
+        return {"type": get_args(hint)[0], "nargs": "+", "action": _Gather}
     return {"choices": get_args(hint)} if get_origin(hint) is Literal else {"type": hint}
 
 

@@ -19,7 +19,7 @@ class Step(NamedTuple):
     """Result of one control step, a row for each episode that was stepped."""
 
     observation: Observation[np.ndarray]
-    """State ``(n, O)`` float32, image ``(n, H, W, C)`` uint8."""
+    """State ``(n, O)`` float32, images ``(n, H, W, C)`` uint8 by camera."""
     success: np.ndarray
     """``(n,)`` bool: the task is solved in this state."""
     invalid: np.ndarray

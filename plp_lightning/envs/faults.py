@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -66,8 +66,15 @@ def check_observation(simulator: object, found: Observation[np.ndarray], spec: D
     if not isinstance(found, Observation):
         raise UserError(f"{type(simulator).__name__} shows {type(found).__name__}; expected an Observation: mend it")
     _expect(simulator, "state", found.state, (count, spec.state_size), np.float32)
-    if spec.image_key is not None:
-        _expect(simulator, "image", found.image, (count, *spec.image_key.shape), np.uint8)
+    cameras = {key.name: key.shape for key in spec.image_keys}
+    if not isinstance(found.images, Mapping):
+        told = f"{type(simulator).__name__} gives images of type {type(found.images).__name__}"
+        raise UserError(f"{told}; expected arrays by name: {', '.join(cameras) or 'none'}: mend the simulator")
+    if found.images.keys() != cameras.keys():
+        given, expected = (", ".join(names) or "none" for names in (found.images, cameras))
+        raise UserError(f"{type(simulator).__name__} gives images of {given}; expected {expected}: mend the simulator")
+    for camera, shape in cameras.items():
+        _expect(simulator, camera, found.images[camera], (count, *shape), np.uint8)
 
 
 def check_step(simulator: object, found: Step, spec: DomainSpec, count: int) -> Step:
@@ -87,8 +94,8 @@ def check_step(simulator: object, found: Step, spec: DomainSpec, count: int) -> 
 
 def unseen(spec: DomainSpec, count: int) -> Observation[np.ndarray]:
     """Observations of episodes that could not begin: states ``(E, O)`` that are no numbers, black images."""
-    image = None if spec.image_key is None else np.zeros((count, *spec.image_key.shape), np.uint8)
-    return Observation(np.full((count, spec.state_size), np.nan, np.float32), image)
+    images = {key.name: np.zeros((count, *key.shape), np.uint8) for key in spec.image_keys}
+    return Observation(np.full((count, spec.state_size), np.nan, np.float32), images)
 
 
 def _expect(simulator: object, name: str, found: object, shape: tuple[int, ...], dtype: type[np.generic]) -> None:

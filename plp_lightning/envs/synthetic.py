@@ -137,7 +137,7 @@ class SeenPoint(LinearPoint):
     def _observe(self, episodes: np.ndarray) -> Observation[np.ndarray]:
         state = super()._observe(episodes).state
         lights = self._light(self.colours[episodes]) + self._light(self.point[episodes][:, None])
-        return Observation(state, np.minimum(lights * 255, 255).astype(np.uint8))
+        return Observation(state, {"camera": np.minimum(lights * 255, 255).astype(np.uint8)})
 
     def _goals_seen(self, episodes: np.ndarray) -> list[Discs]:
         return [Discs(self.colours[episodes, i], RADIUS, colour) for i, colour in enumerate((RED, GREEN, BLUE))]

@@ -15,7 +15,7 @@ from datamodules.errors import ConfigError
 from datamodules.settings import Configured, PositiveInt
 from datamodules.streams import Stream, generator
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Observation
+from datamodules.types import Observation, join_observations
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.faults import blaming
 from plp_lightning.envs.maze.simulator import PointMaze
@@ -196,8 +196,7 @@ def guided_states(
         return guide.act(observation, running)
 
     rollout(simulator, act, turns, seeds)
-    images = [part.image for part in seen if part.image is not None]
-    joined = Observation(np.concatenate([part.state for part in seen]), np.concatenate(images) if images else None)
+    joined = join_observations(seen, np.concatenate)
     chosen = generator(Stream.GUIDED_STATES).permutation(len(joined.state))[:count]
     return joined.take(chosen).map(torch.from_numpy)
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from operator import sub
+from typing import TypeVar
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+K = TypeVar("K")
 
-def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]) -> Tensor:
-    r"""Squared error of a pixel's colours in [0, 1], a scalar, the mean over pixels, colours and all domains' samples.
+
+def reconstruction(prediction: Mapping[K, Tensor], image: Mapping[K, Tensor]) -> Tensor:
+    r"""Squared error of a pixel's colours in [0, 1], a scalar, the mean over pixels, colours and all cameras' samples.
 
     .. math:: L_{rec} = \mathbb{E}_{(s,d)} \frac{1}{HWC} \| \rho_d(\phi_d(s)) - o / 255 \|^2
 
@@ -21,14 +24,14 @@ def reconstruction(prediction: Mapping[str, Tensor], image: Mapping[str, Tensor]
     Computed in float32 whatever autocast says.
 
     Args:
-        prediction: By domain, floats in [0, 1], ``(B_d, H, W, C)``.
-        image: By domain, uint8, ``(B_d, H', W', C)``, at least as large.
+        prediction: By camera, floats in [0, 1], ``(B_d, H, W, C)``.
+        image: By camera, uint8, ``(B_d, H', W', C)``, at least as large.
 
     Example:
         >>> reconstruction({"left": torch.full((1, 2, 2, 3), 0.5)}, {"left": torch.zeros(1, 2, 2, 3).byte()})
         tensor(0.2500)
     """
-    assert prediction, "expected at least one domain"
+    assert prediction, "expected at least one camera"
     assert prediction.keys() == image.keys(), f"predictions of {[*prediction]}, images of {[*image]}"
     errors = [(predicted - _target(predicted, image[d])).square().sum() for d, predicted in prediction.items()]
     return torch.stack(errors).sum() / sum(predicted.numel() for predicted in prediction.values())

@@ -61,7 +61,7 @@ class Phase(Configured, LightningModule, Generic[P]):
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
-        """Parts whose parameters and buffers must not change in this phase, by name."""
+        """Parts whose parameters and buffers must not change in this phase, by name, beside the policy's own."""
         return {}
 
     def parameter_groups(self) -> list[Any]:

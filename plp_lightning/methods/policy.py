@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.errors import ConfigError
-from datamodules.named import gather
+from datamodules.named import fit_images, gather
 from datamodules.problem import TransferProblem
 from datamodules.settings import Configured
 from datamodules.types import Actor, Observation
@@ -38,8 +38,13 @@ class Policy(Configured, nn.Module, ABC):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Domains that have a camera."""
-        return tuple(name for name, spec in self.domains.items() if spec.image_key is not None)
+        """Domains that have a camera, or several."""
+        return tuple(name for name, spec in self.domains.items() if spec.image_keys)
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        """Parts that no phase may change, by name: such as image encoders with weights that stay as they are."""
+        return {}
 
     @property
     def acts_in(self) -> tuple[str, ...]:
@@ -51,7 +56,7 @@ class Policy(Configured, nn.Module, ABC):
         """Actions ``(B_d, A_d)`` by domain.
 
         Args:
-            observation: States ``(B_d, O)``, and images ``(B_d, H, W, C)`` or None, by domain.
+            observation: States ``(B_d, O)`` and, by camera, images ``(B_d, H, W, C)``, by domain.
             task: Indices of the tasks ``(B_d,)`` int64, by domain.
         """
 
@@ -59,7 +64,8 @@ class Policy(Configured, nn.Module, ABC):
         """Actions ``(B, A)``, or ``(…, A)``, in the owner's units; in [-1, 1] if the domain states no limits.
 
         Args:
-            observation: Raw: state ``(B, O)``, image ``(B, H, W, C)`` uint8 or None; or arrays ``(…, n)`` by name.
+            observation: Raw: state ``(B, O)`` and images ``(B, H, W, C)`` uint8 by camera, or those of the only one;
+                or all arrays ``(…, n)`` by name.
             domain: Name of the domain.
             task: Name of the task of all rows, or of each.
 
@@ -70,6 +76,8 @@ class Policy(Configured, nn.Module, ABC):
         spec, lead = self.domains[domain], None
         if not isinstance(observation, Observation):
             observation, lead = gather(spec, observation)
+        else:
+            observation = fit_images(spec, observation)
         names = [task] * len(observation.state) if isinstance(task, str) else task
         actions = self._act(observation, domain, self._task_ids(names))
         if spec.action_low is not None:

@@ -16,11 +16,12 @@ from torch import Tensor, nn
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
-from datamodules.types import Observation, Steps
+from datamodules.types import DomainSpec, Observation, ObservationKey, Steps
 from plp_lightning.losses import reconstruction
 from plp_lightning.methods.phase import CachedStates
 from plp_lightning.methods.policy import AligningPolicy
 from plp_lightning.networks import InputScaler, mlp
+from plp_lightning.networks.cameras import check_seen
 from plp_lightning.networks.vision import initialise, pixel_coordinates
 
 NO_CHANGE = 1e-6
@@ -75,7 +76,7 @@ class PointDecoder(nn.Module):
 
 
 class Perception(nn.Module):
-    """Scaled state of a domain and, where it has a camera, the feature points of its image.
+    """Scaled state of a domain and, where it has cameras, the feature points of their images.
 
     Args:
         problem: Domains, and statistics of their raw states.
@@ -87,19 +88,33 @@ class Perception(nn.Module):
         super().__init__()
         self.scaler = InputScaler(problem.domains, problem.statistics, scaling)
         self.sensed = {spec.name: spec.state_size for spec in problem.domains}
-        images = {spec.name: spec.image_key.shape for spec in problem.domains if spec.image_key is not None}
-        self.images = images if image_channels else {}
-        image_encoders = {name: SpatialEncoder(shape, image_channels) for name, shape in self.images.items()}
-        self.image_encoders = nn.ModuleDict(image_encoders)
-        self.sizes = self.sensed | {name: self.sensed[name] + encoder.size for name, encoder in image_encoders.items()}
+        check_seen(problem.domains, not image_channels)
+        self.cameras = {spec.name: _cameras(spec) if image_channels else {} for spec in problem.domains}
+        self.shapes = {name: key.shape for found in self.cameras.values() for name, key in found.items()}
+        encoders = {name: SpatialEncoder(shape, image_channels) for name, shape in self.shapes.items()}
+        self.image_encoders = nn.ModuleDict(encoders)
+        self.points = {name: encoder.size for name, encoder in encoders.items()}
+        seen = {domain: sum(self.points[name] for name in found) for domain, found in self.cameras.items()}
+        self.sizes = {domain: size + seen[domain] for domain, size in self.sensed.items()}
 
     def forward(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         """Observation of a domain, ``(B, O)`` and ``(B, H, W, C)`` → its state ``(B, S_d)``."""
         state: Tensor = self.scaler(observation.state, domain)
-        if domain not in self.image_encoders:
-            return state
-        assert observation.image is not None, f"no image, but domain {domain!r} has a camera"
-        return torch.cat([state, self.image_encoders[domain](observation.image)], dim=1)
+        images = self.images(domain, observation)
+        return torch.cat([state, *(self.image_encoders[name](image) for name, image in images.items())], dim=1)
+
+    def images(self, domain: str, observation: Observation[Tensor]) -> dict[str, Tensor]:
+        """Images ``(B, H, W, C)`` of a domain's cameras, by the name of the encoder that looks at them."""
+        cameras = self.cameras[domain]
+        assert observation.images or not cameras, f"no image, but domain {domain!r} has a camera"
+        return {name: observation.images[key.name] for name, key in cameras.items()}
+
+    def points_of(self, domain: str, state: Tensor) -> dict[str, Tensor]:
+        """Feature points ``(B, 2 P)`` in a domain's state ``(B, S_d)``, by the name of the encoder that found them."""
+        sizes = {name: self.points[name] for name in self.cameras[domain]}
+        if not sizes:
+            return {}
+        return dict(zip(sizes, state[:, self.sensed[domain] :].split([*sizes.values()], dim=1), strict=True))
 
 
 class PointReconstruction(nn.Module):
@@ -112,18 +127,25 @@ class PointReconstruction(nn.Module):
 
     def __init__(self, perception: Perception, hidden: int) -> None:
         super().__init__()
-        self.first_point = {name: perception.sensed[name] for name in perception.images}
-        sizes = {name: perception.sizes[name] - first for name, first in self.first_point.items()}
+        self.images, self.points_of = perception.images, perception.points_of
         self.decoders = nn.ModuleDict(
-            {name: PointDecoder(sizes[name], shape, hidden) for name, shape in perception.images.items()}
+            {name: PointDecoder(perception.points[name], shape, hidden) for name, shape in perception.shapes.items()}
         )
 
     def losses(self, state: Mapping[str, Tensor], steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """``reconstruction``, of states ``(B_d, S_d)`` of steps with images; nothing where there is no camera."""
-        seen = {domain: steps[domain].observation.image for domain in self.first_point if domain in steps}
-        images = {domain: image for domain, image in seen.items() if image is not None}
-        drawn = {domain: self.decoders[domain](state[domain][:, self.first_point[domain] :]) for domain in images}
+        images, points = dict[str, Tensor](), dict[str, Tensor]()
+        for domain, found in steps.items():
+            images |= self.images(domain, found.observation)
+            points |= self.points_of(domain, state[domain])
+        drawn = {name: self.decoders[name](points[name]) for name in images}
         return {"reconstruction": reconstruction(drawn, images)} if drawn else {}
+
+
+def _cameras(spec: DomainSpec) -> dict[str, ObservationKey]:
+    """Cameras of a domain by the name of their encoder: the domain's, if there is one camera, or else both names."""
+    keys = spec.image_keys
+    return {spec.name if len(keys) == 1 else f"{spec.name}/{key.name}".replace(".", ":"): key for key in keys}
 
 
 class TranslatingPolicy(AligningPolicy):

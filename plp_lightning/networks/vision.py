@@ -5,7 +5,7 @@ Outside of these modules images are ``(B, H, W, C)``, as cameras and files have 
 """
 
 # No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import prod
@@ -13,10 +13,8 @@ from math import prod
 import torch
 from torch import Tensor, nn
 
-from datamodules.errors import ConfigError
-from datamodules.settings import Configured, PositiveInt
-from datamodules.types import DomainSpec, Observation
-from plp_lightning.networks.domains import split_by_domain
+from datamodules.settings import PositiveInt
+from plp_lightning.networks.image_encoders import ImageEncoderFactory, ImageShape
 
 KERNEL, STRIDE, PADDING = 3, 2, 1
 UNTRAINED_BYTES = 64 * 2**20
@@ -24,10 +22,12 @@ UNTRAINED_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
-class ImageEncoding(Configured):
-    """Sizes of an image encoder, which is built once the images' shape is known.
+class ImageEncoding(ImageEncoderFactory):
+    """Sizes of the strided CoordConv network, see :class:`ImageEncoder`.
 
     Args:
+        weights: File of the weights to begin with; those that are drawn if not given.
+        freeze: Keep the weights as they are, in every phase.
         channels: Channels of each convolution, which halves the image's sides; without any, images are left aside.
         features: F, length of the vector that an image becomes.
     """
@@ -35,8 +35,11 @@ class ImageEncoding(Configured):
     channels: tuple[PositiveInt, ...] = (64, 64, 128, 128, 128)
     features: PositiveInt = 1024
 
-    def build(self, shape: Sequence[int]) -> "ImageEncoder":
-        """Build an encoder of images ``(H, W, C)``."""
+    @property
+    def blind(self) -> bool:
+        return not self.channels
+
+    def build(self, shape: ImageShape) -> "ImageEncoder":
         return ImageEncoder(shape, self.channels, self.features)
 
 
@@ -79,17 +82,17 @@ class ImageEncoder(nn.Module):
 
 
 class ImageDecoder(nn.Module):
-    """The encoder's mirror image: Z ``latent`` numbers and one of D ``domains`` → image ``(H, W, C)`` of its camera.
+    """The encoder's mirror image: Z ``latent`` numbers and one of D ``places`` of cameras → its image ``(H, W, C)``.
 
     ``channels`` are those of the encoder's convolutions, in the encoder's order.
     """
 
-    def __init__(self, latent: int, domains: int, shape: Sequence[int], channels: Sequence[int]) -> None:
+    def __init__(self, latent: int, places: int, shape: Sequence[int], channels: Sequence[int]) -> None:
         super().__init__()
         height, width, colours = shape
         sizes = downsampled_sizes((height, width), len(channels))[::-1]
-        self.domains, self.start = domains, (channels[-1], *sizes[0])
-        self.linear = nn.Linear(latent + domains, prod(self.start))
+        self.places, self.start = places, (channels[-1], *sizes[0])
+        self.linear = nn.Linear(latent + places, prod(self.start))
         layers: list[nn.Module] = []
         for (size_in, size_out), (small, large) in zip(
             pairwise([*reversed(channels), colours]), pairwise(sizes), strict=True
@@ -101,9 +104,9 @@ class ImageDecoder(nn.Module):
         initialise(self)
         _lay_out(self)
 
-    def forward(self, latent: Tensor, domain: Tensor) -> Tensor:
+    def forward(self, latent: Tensor, place: Tensor) -> Tensor:
         """``(B, Z)`` and int64 ``(B,)`` → ``(B, H, W, C)`` in (0, 1)."""
-        one_hot = nn.functional.one_hot(domain, self.domains).to(latent.dtype)
+        one_hot = nn.functional.one_hot(place, self.places).to(latent.dtype)
         maps = self.linear(torch.cat([latent, one_hot], dim=-1)).unflatten(1, self.start)
         image: Tensor = self.convolutions(maps.contiguous(memory_format=torch.channels_last))
         return image.permute(0, 2, 3, 1).sigmoid()
@@ -144,37 +147,3 @@ def _lay_out(network: nn.Module) -> None:
     for parameter in network.parameters():
         if parameter.ndim == 4:
             parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
-
-
-def image_shape(domains: Sequence[DomainSpec]) -> tuple[int, int, int] | None:
-    """Height, width and colours of the domains' images, or None if no domain has a camera.
-
-    Raises:
-        ConfigError: If the domains' images differ in shape.
-    """
-    shapes = {spec.name: spec.image_key.shape for spec in domains if spec.image_key is not None}
-    if len(set(shapes.values())) > 1:
-        raise ConfigError(f"image shapes are {shapes}; expected one shape for all domains: set one image size")
-    return next(((h, w, c) for h, w, c in shapes.values()), None)
-
-
-def encode_images(
-    encoder: ImageEncoder, observation: Mapping[str, Observation[Tensor]], cameras: Collection[str]
-) -> Tensor:
-    """Features ``(B, F)`` of all domains' images, domain after domain, in one pass; zeros where there is no camera.
-
-    Args:
-        encoder: Makes F features of an image.
-        observation: By domain, images ``(B_d, H, W, C)`` uint8 or None; or what was made of them before, ``(B_d, F)``.
-        cameras: Domains that have one.
-    """
-    size = encoder.linear.out_features
-    blank = {domain: obs.state.new_zeros(obs.state.shape[0], size) for domain, obs in observation.items()}
-    images = {domain: obs.image for domain, obs in observation.items() if obs.image is not None}
-    expected = [domain for domain in observation if domain in cameras]
-    assert expected == [*images], f"images of {[*images]}, but cameras in {expected}"
-    if not images:
-        return torch.cat([*blank.values()])
-    joined = torch.cat([*images.values()])
-    features = joined if joined.is_floating_point() else encoder(joined)
-    return torch.cat([*(blank | split_by_domain(features, images)).values()])

@@ -31,7 +31,7 @@ class Film(NamedTuple):
 
 
 class FilmRecorder(Observer):
-    """Keeps the images ``(T + 1, H, W, 3)`` of the newest episodes of a domain with a camera.
+    """Keeps the images ``(T + 1, H, W, 3)`` of the newest episodes of a domain with a camera, the first of several.
 
     Args:
         most: Number of episodes that are filmed, the first ones; it bounds the memory that is taken.
@@ -58,8 +58,8 @@ class FilmRecorder(Observer):
         return sorted(found, key=lambda film: film.success)[:count]
 
     def _keep(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> None:
-        assert observation.image is not None, "expected a simulator with a camera"
-        for episode, image in zip(episodes, observation.image, strict=True):
+        first = next(iter(observation.images.values()))  # of several cameras
+        for episode, image in zip(episodes, first, strict=True):
             if episode < len(self._images):
                 self._images[episode].append(image.copy())
 
@@ -69,7 +69,7 @@ def film_recorders(
 ) -> dict[str, FilmRecorder]:
     """A recorder of the first ``most`` episodes for each trial, by its name, whose domain has a camera."""
     specs = {name: simulators[trial.domain].spec(trial.domain) for name, trial in trials.items()}
-    return {name: FilmRecorder(most) for name, spec in specs.items() if spec.image_key is not None and most > 0}
+    return {name: FilmRecorder(most) for name, spec in specs.items() if spec.image_keys and most > 0}
 
 
 def film_figure(reels: Mapping[str, Sequence[Film]]) -> Figure:

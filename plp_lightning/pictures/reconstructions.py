@@ -38,17 +38,20 @@ class ReconstructionPicture(Callback):
 
 @torch.no_grad()
 def reconstructions(phase: Alignment, data: TransferDataModule, count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """``count`` images of proxy tasks of each domain with a camera, as seen and as reconstructed.
+    """``count`` images of proxy tasks of each camera, as seen and as reconstructed.
 
     Returns:
-        By domain ``(N, H, W, C)`` uint8, and ``(N, H', W', C)`` in (0, 1), smaller if the decoder's images are.
+        By domain, and camera where a domain has several: ``(N, H, W, C)`` uint8, and ``(N, H', W', C)`` in (0, 1),
+        smaller if the decoder's images are.
     """
     seen: dict[str, Observation[torch.Tensor]] = {
-        spec.name: sample_states(data, spec.name, count) for spec in data.specs if spec.image_key is not None
+        spec.name: sample_states(data, spec.name, count) for spec in data.specs if spec.image_keys
     }
     latent = phase.policy.encode({d: obs.map(lambda x: x.to(phase.device)) for d, obs in seen.items()})
-    made = {d: image.float().cpu().numpy() for d, image in _decoders(phase)[0].reconstruct(latent).items()}
-    return {d: (obs.image.numpy(), made[d]) for d, obs in seen.items() if obs.image is not None}
+    made = _decoders(phase)[0].reconstruct(latent)
+    told = {view: view[0] if len(seen[view[0]].images) == 1 else "\n".join(view) for view in made}
+    pairs = {told[d, name]: (seen[d].images[name], image) for (d, name), image in made.items()}
+    return {name: (image.numpy(), again.float().cpu().numpy()) for name, (image, again) in pairs.items()}
 
 
 def _decoders(phase: Alignment) -> list[ImageReconstruction]:
@@ -57,7 +60,7 @@ def _decoders(phase: Alignment) -> list[ImageReconstruction]:
 
 
 def reconstruction_figure(pairs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
-    """Two rows for each domain: images ``(N, H, W, C)``, and below them reconstructions ``(N, H', W', C)``."""
+    """Two rows for each camera: images ``(N, H, W, C)``, and below them reconstructions ``(N, H', W', C)``."""
     count = max(len(seen) for seen, _ in pairs.values())
     figure = Figure(figsize=(1.2 * count + 1.2, 2.5 * len(pairs)), layout="constrained")
     grid = figure.subplots(2 * len(pairs), count, squeeze=False)

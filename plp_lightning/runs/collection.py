@@ -18,7 +18,7 @@ from datamodules.errors import UserError
 from datamodules.store.reader import TrajectoryFile, stored_count
 from datamodules.store.recorder import Recorder
 from datamodules.streams import EpisodeStream, episode_generator, episode_seed
-from datamodules.types import Observation, Trajectory
+from datamodules.types import Observation, Trajectory, join_observations
 from plp_lightning.envs.base import Domain, Step, available_cores
 from plp_lightning.envs.rollout import Observer, rollout
 from plp_lightning.runs.plans import CollectionConfig
@@ -173,7 +173,7 @@ def _kept(count: int) -> str:
 
 
 def _bytes(made: Trajectory) -> int:
-    return sum(array.nbytes for array in (*made.observation, made.actions) if array is not None)
+    return sum(array.nbytes for array in (made.observation.state, *made.observation.images.values(), made.actions))
 
 
 def _work(
@@ -278,6 +278,4 @@ class Demonstrator(Observer):
         """Observations ``(T + 1, …)``, the last after the last action, and actions ``(T, A)`` of one episode."""
         seen = [observation.take(i) for episodes, observation in self.seen for i in np.flatnonzero(episodes == index)]
         actions = [wanted[episodes == index] for episodes, wanted in self.wanted]
-        images = [observation.image for observation in seen if observation.image is not None]
-        states = np.stack([observation.state for observation in seen])
-        return Observation(states, np.stack(images) if images else None), np.concatenate(actions)
+        return join_observations(seen, np.stack), np.concatenate(actions)

@@ -46,16 +46,17 @@ class RobotPolicy(nn.Module):
 
     @property
     def inputs(self) -> list[ObservationKey]:
-        """The keys in the order of the arguments: state keys, then the image, if the domain has a camera."""
-        camera = self.spec.image_key
-        return [*self.spec.state_keys, *([] if camera is None else [camera])]
+        """The keys in the order of the arguments: state keys, then those of the cameras."""
+        return [*self.spec.state_keys, *self.spec.image_keys]
 
     def forward(self, *values: Tensor) -> Tensor:
-        """Values of the :attr:`inputs`, float32 ``(B, n)`` each, image uint8 ``(B, H, W, C)`` → actions ``(B, A)``."""
-        states = len(self.spec.state_keys)
-        state, image = torch.cat(values[:states], dim=1), values[states] if len(values) > states else None
-        task = torch.full((state.shape[0],), self.task, dtype=torch.int64, device=state.device)
-        acted = self.policy.predict_actions({self.domain: Observation(state, image)}, {self.domain: task})[self.domain]
+        """Values of the :attr:`inputs`, float32 ``(B, n)`` and uint8 ``(B, H, W, C)`` → actions ``(B, A)``."""
+        states, cameras = len(self.spec.state_keys), [key.name for key in self.spec.image_keys]
+        images, rows, device = dict(zip(cameras, values[states:], strict=True)), values[0].shape[0], values[0].device
+        state = torch.cat(values[:states], dim=1) if states else self.low.new_zeros(rows, 0)
+        task = torch.full((rows,), self.task, dtype=torch.int64, device=device)
+        seen = {self.domain: Observation(state, images)}
+        acted = self.policy.predict_actions(seen, {self.domain: task})[self.domain]
         if self.spec.action_low is None:
             return acted
         return acted.clamp(-1, 1) * ((self.high - self.low) / 2) + (self.low + self.high) / 2

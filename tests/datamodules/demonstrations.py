@@ -18,11 +18,11 @@ WHY = {"command": "plp collect", "seed": 3}
 def demonstration(spec: DomainSpec, task: str, seed: int, steps: int = 5, last: bool = False) -> Trajectory:
     """A demonstration whose values are a function of its arguments; with ``last``, what was seen last is known."""
     rng = np.random.default_rng([len(spec.name), TASKS.index(task), seed, steps])
-    seen, key = steps + last, spec.image_key
+    seen = steps + last
     state = rng.standard_normal((seen, spec.state_size)).astype(np.float32)
-    image = None if key is None else rng.integers(0, 256, (seen, *key.shape), dtype=np.uint8)
+    images = {key.name: rng.integers(0, 256, (seen, *key.shape), dtype=np.uint8) for key in spec.image_keys}
     actions = rng.uniform(-1, 1, (steps, spec.action_size)).astype(np.float32)
-    return Trajectory(spec.name, task, Observation(state, image), actions, seed, bool(seed % 2))
+    return Trajectory(spec.name, task, Observation(state, images), actions, seed, bool(seed % 2))
 
 
 def demonstrations(seeds: int = 2) -> list[Trajectory]:
@@ -37,7 +37,6 @@ def assert_equal(one: Trajectory, other: Trajectory) -> None:
     assert one.actions.dtype == other.actions.dtype
     np.testing.assert_array_equal(one.actions, other.actions)
     np.testing.assert_array_equal(one.observation.state, other.observation.state)
-    if one.observation.image is None or other.observation.image is None:
-        assert one.observation.image is other.observation.image
-    else:
-        np.testing.assert_array_equal(one.observation.image, other.observation.image)
+    assert one.observation.images.keys() == other.observation.images.keys()
+    for name, images in one.observation.images.items():
+        np.testing.assert_array_equal(images, other.observation.images[name])

@@ -34,7 +34,7 @@ def write(path: Path) -> None:
 
 def _made(domain: str, number: int) -> Trajectory:
     image = np.broadcast_to(np.uint8(number), (STEPS, SIDE, SIDE, 3))
-    observation = Observation(np.full((STEPS, 1), number, np.float32), image)
+    observation = Observation(np.full((STEPS, 1), number, np.float32), {"camera": image})
     task = "b" if number == EPISODES - 1 else "a"
     return Trajectory(domain, task, observation, np.zeros((STEPS, 1), np.float32), number, True)
 
@@ -46,7 +46,7 @@ def fingerprint_and_shown(path: Path, image_memory: float) -> str:
     data = TransferDataModule(path, roles, demonstrations, Batching(batch_size=64), image_memory=image_memory)
     batches = itertools.islice(data.loader(BatchSpec("proxy_tasks")), 8)
     seen = [part.observation for batch in batches for part in batch.steps.values()]
-    off = [(o.image.float().mean((1, 2, 3)) - o.state[:, 0]).abs().max().item() for o in seen if o.image is not None]
+    off = [(o.images["camera"].float().mean((1, 2, 3)) - o.state[:, 0]).abs().max().item() for o in seen]
     return f"{data.fingerprint} {len(off)} parts, {max(off)} off"
 
 

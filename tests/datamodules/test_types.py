@@ -25,8 +25,8 @@ ARM = DomainSpec(
 def test_the_state_is_the_state_keys_end_to_end_without_the_image() -> None:
     assert ARM.state_size == 5
     assert [key.name for key in ARM.state_keys] == ["pos", "grip"]
-    assert ARM.image_key is ARM.observation[1]
-    assert tiny.spec("x", 3, 2).image_key is None
+    assert ARM.image_keys == (ARM.observation[1],)
+    assert tiny.spec("x", 3, 2).image_keys == ()
 
 
 def test_columns_follow_the_order_of_the_names() -> None:
@@ -40,9 +40,13 @@ def test_a_key_that_is_no_state_key_is_refused_with_those_there_are(name: str) -
         ARM.columns([name])
 
 
-def test_a_domain_without_state_is_refused() -> None:
-    with pytest.raises(UserError, match="domain 'eye' has no state key; at least one is needed"):
-        DomainSpec("eye", (ObservationKey("camera", (4, 4, 3), "image"),), 2, 10.0)
+def test_a_domain_may_show_images_alone_but_not_nothing() -> None:
+    eye = DomainSpec("eye", (ObservationKey("camera", (4, 4, 3), "image"),), 2, 10.0)
+    assert (eye.state_size, eye.state_keys, eye.columns([])) == (0, (), [])
+    with pytest.raises(UserError, match="domain 'eye' has no state key 'x'; it has: none"):
+        eye.columns(["x"])
+    with pytest.raises(UserError, match="domain 'eye' has neither a state key nor a camera"):
+        DomainSpec("eye", (), 2, 10.0)
 
 
 def test_a_spec_survives_json() -> None:
@@ -62,9 +66,8 @@ def test_a_trajectory_needs_an_observation_for_each_of_its_actions(states: int, 
 
 
 def test_take_picks_the_same_rows_of_state_and_image() -> None:
-    seen = Observation(np.arange(4)[:, None], np.arange(4)[:, None, None, None] * 10)
+    seen = Observation(np.arange(4)[:, None], {"camera": np.arange(4)[:, None, None, None] * 10})
     taken = seen.take(np.array([2, 0]))
-    assert taken.image is not None
     assert taken.state.ravel().tolist() == [2, 0]
-    assert taken.image.ravel().tolist() == [20, 0]
-    assert Observation(np.zeros((3, 2))).take(slice(1)).image is None
+    assert taken.images["camera"].ravel().tolist() == [20, 0]
+    assert Observation(np.zeros((3, 2))).take(slice(1)).images == {}

@@ -125,7 +125,7 @@ def full_data(window: Window, episode: int, shipped: mujoco.MjModel) -> mujoco.M
 @pytest.mark.parametrize("view", ["front_left", "front_right", "front", "rear"])
 def test_pictures_with_fewer_triangles_look_alike(view: View) -> None:
     window, shipped = Window(view, threads=1), read_scene(WINDOW_FILE).compile()
-    images = window.reset(["open", "close_x0y1", "close_x1y0"], [0, 1, 2]).image
+    images = window.reset(["open", "close_x0y1", "close_x1y0"], [0, 1, 2]).images["image"]
     assert images is not None
     shipped.site_group[:] = 5
     camera = Camera(shipped, Viewpoint(*VIEWS[view]), 64)
@@ -148,7 +148,7 @@ def test_pictures_are_close_to_the_default_renderers() -> None:
         from plp_lightning.envs.rendering.camera import free_camera
 
         window, shipped = Window("front", threads=1), read_scene(WINDOW_FILE).compile()
-        light = window.reset(["open"], [0]).image[0].astype(int)
+        light = window.reset(["open"], [0]).images["image"][0].astype(int)
         shipped.site_group[:] = 5
         renderer = mujoco.Renderer(shipped, 64, 64)
         renderer.update_scene(full_data(window, 0, shipped), free_camera(Viewpoint(*VIEWS["front"])))

@@ -51,7 +51,7 @@ def run(simulator: Tabletop, episodes: list[tuple[str, int]], actions: np.ndarra
     rows = np.arange(len(episodes))
     seen = [simulator.reset([task for task, _ in episodes], [seed for _, seed in episodes])]
     seen += [simulator.step(action, rows).observation for action in actions]
-    return np.stack([o.state for o in seen]), np.stack([o.image for o in seen if o.image is not None])
+    return np.stack([o.state for o in seen]), np.stack([o.images["image"] for o in seen])
 
 
 def random_actions(steps: int, episodes: int) -> np.ndarray:
@@ -68,8 +68,7 @@ def test_tasks_and_proxies() -> None:
 def test_spec_describes_what_is_observed() -> None:
     spec = Window("rear", image_size=48).spec("robot_side")
     assert (spec.name, spec.state_size, spec.action_size, spec.control_hz) == ("robot_side", 8, 4, 80.0)
-    assert spec.image_key is not None
-    assert spec.image_key.shape == (48, 48, 3)
+    assert spec.image_keys[0].shape == (48, 48, 3)
     assert tuple(key.name for key in spec.state_keys) == ("hand_pos", "gripper", "last_hand_pos", "last_gripper")
     state = np.arange(16.0).reshape(2, 8)
     np.testing.assert_array_equal(Reach("front").shared_position(state), [[0, 1, 2], [8, 9, 10]])
@@ -214,7 +213,7 @@ def test_episodes_may_be_stepped_a_few_at_a_time() -> None:
         for rows in ([4, 1], [0], [], [2, 3]):
             step = reach(3).step(action[rows], np.array(rows, dtype=int))
             np.testing.assert_array_equal(step.observation.state, state[rows])
-            np.testing.assert_array_equal(step.observation.image, image[rows])
+            np.testing.assert_array_equal(step.observation.images["image"], image[rows])
 
 
 @drawn
@@ -234,25 +233,24 @@ def test_only_the_bad_episode_becomes_invalid() -> None:
     actions[1, 3] = np.inf
     for state, image in zip(good[1:], pictures[1:], strict=True):
         step = simulator.step(actions, rows)
-        assert step.observation.image is not None
         assert step.invalid.tolist() == [False, True, False, True, False]
         np.testing.assert_array_equal(step.observation.state[[0, 2, 4]], state[[0, 2, 4]])
-        np.testing.assert_array_equal(step.observation.image[[0, 2, 4]], image[[0, 2, 4]])
+        np.testing.assert_array_equal(step.observation.images["image"][[0, 2, 4]], image[[0, 2, 4]])
         np.testing.assert_array_equal(step.observation.state[[1, 3]], good[0, [1, 3]])
-        np.testing.assert_array_equal(step.observation.image[[1, 3]], pictures[0, [1, 3]])
+        np.testing.assert_array_equal(step.observation.images["image"][[1, 3]], pictures[0, [1, 3]])
 
 
 @drawn
 def test_letting_a_simulator_go_leaves_other_pictures_alone() -> None:
     first = Reach("rear", image_size=32, threads=2)
-    before = first.reset(["red", "green"], [0, 1]).image
+    before = first.reset(["red", "green"], [0, 1]).images["image"]
     assert before is not None
     second = Reach("rear", image_size=32, threads=2)
-    np.testing.assert_array_equal(second.reset(["red", "green"], [0, 1]).image, before)
+    np.testing.assert_array_equal(second.reset(["red", "green"], [0, 1]).images["image"], before)
     threads = list(second._physics._pool._threads)
     del second
     gc.collect()
     for thread in threads:
         thread.join(timeout=60)
         assert not thread.is_alive()
-    np.testing.assert_array_equal(first.reset(["red", "green"], [0, 1]).image, before)
+    np.testing.assert_array_equal(first.reset(["red", "green"], [0, 1]).images["image"], before)

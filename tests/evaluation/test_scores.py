@@ -161,13 +161,11 @@ def test_guided_states_are_those_of_the_experts_episodes_and_always_the_same() -
     simulator, guide = SeenPoint(1, image_size=9), LinearPointExpert()
     few, again = (guided_states(simulator, guide, "left", ["red"], 3, 7) for _ in range(2))
     everything = guided_states(simulator, guide, "left", ["red"], 3, 10**6)
-    assert few.image is not None
-    assert everything.image is not None
     assert few.state.shape == (7, 4)
-    assert few.image.shape == (7, 9, 9, 3)
+    assert few.images["camera"].shape == (7, 9, 9, 3)
     assert torch.equal(few.state, again.state)
-    assert torch.equal(few.image, again.image)
-    assert torch.equal(everything.image[:7], few.image)
+    assert torch.equal(few.images["camera"], again.images["camera"])
+    assert torch.equal(everything.images["camera"][:7], few.images["camera"])
     # Three episodes from near the centre to a goal at distance 1.
     distance = np.linalg.norm(simulator.shared_position(everything.state.numpy()), axis=1)
     assert len(distance) > 3
@@ -176,7 +174,7 @@ def test_guided_states_are_those_of_the_experts_episodes_and_always_the_same() -
 
 def test_guided_states_of_a_domain_without_a_camera_have_no_images() -> None:
     found = guided_states(LinearPoint(1), LinearPointExpert(), "flat", ["goal_0", "goal_1"], 3, 5)
-    assert found.image is None
+    assert found.images == {}
     assert len(found.state) == 5
 
 

@@ -118,12 +118,21 @@ def test_wrong_shapes_and_types_stop_with_a_line(kind: str, nth: int) -> None:
     assert "\n" not in str(found.value)
 
 
-@pytest.mark.parametrize("image", [None, np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 16, 16, 3))])
-def test_wrong_images_stop_with_a_line(image: np.ndarray | None, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("images", "told"),
+    [
+        ({}, "images of none; expected camera"),
+        (np.zeros((2, 16, 16, 3), np.uint8), "images of type ndarray; expected arrays by name: camera"),
+        ({"eye": np.zeros((2, 16, 16, 3), np.uint8)}, "images of eye; expected camera"),
+        ({"camera": np.zeros((2, 8, 8, 3), np.uint8)}, r"camera of .*expected shape \(2, 16, 16, 3\), type uint8"),
+        ({"camera": np.zeros((2, 16, 16, 3))}, r"camera of .*expected shape \(2, 16, 16, 3\), type uint8"),
+    ],
+)
+def test_wrong_images_stop_with_a_line(images: Any, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        SeenPoint, "_observe", lambda self, episodes: Observation(np.zeros((len(episodes), 4), np.float32), image)
+        SeenPoint, "_observe", lambda self, episodes: Observation(np.zeros((len(episodes), 4), np.float32), images)
     )
-    with pytest.raises(UserError, match=r"SeenPoint gives image of .*expected shape \(2, 16, 16, 3\), type uint8"):
+    with pytest.raises(UserError, match=rf"SeenPoint gives {told}"):
         evaluate(Still(), SeenPoint(1), EvalSetting("seen", ("red",)), 2, seed=0)
 
 

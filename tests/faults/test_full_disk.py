@@ -28,7 +28,7 @@ CALLS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55)
 def demonstration(seed: int, steps: int = 40) -> Trajectory:
     rng = np.random.default_rng(seed)
     image = rng.integers(0, 256, (steps + 1, 16, 16, 3), dtype=np.uint8)
-    seen = Observation(rng.normal(size=(steps + 1, 3)).astype(np.float32), image)
+    seen = Observation(rng.normal(size=(steps + 1, 3)).astype(np.float32), {"view": image})
     return Trajectory("arm", "lift", seen, rng.uniform(-1, 1, (steps, 2)).astype(np.float32), seed, True)
 
 

@@ -65,7 +65,7 @@ def test_half_precision_predictions_are_compared_in_single_precision() -> None:
 
 def test_what_does_not_belong_together_is_refused() -> None:
     prediction, image = pair(2, 0)
-    with pytest.raises(AssertionError, match="at least one domain"):
+    with pytest.raises(AssertionError, match="at least one camera"):
         reconstruction({}, {})
     with pytest.raises(AssertionError, match=r"predictions of \['left'\], images of \['right'\]"):
         reconstruction({"left": prediction}, {"right": image})

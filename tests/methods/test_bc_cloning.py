@@ -114,7 +114,7 @@ def test_what_a_camera_saw_decides_along(tmp_path: Path) -> None:
     steps = next(iter(data.loader(BCCloning.batch_spec))).steps
     task = {domain: s.task for domain, s in steps.items()}
     bright = policy.predict_actions({d: s.observation for d, s in steps.items()}, task)
-    dark = {d: Observation(s.observation.state, torch.zeros_like(s.observation.image)) for d, s in steps.items()}
+    dark = {d: s.observation._replace(images=s.observation.map(torch.zeros_like).images) for d, s in steps.items()}
     assert not any(torch.equal(bright[d], action) for d, action in policy.predict_actions(dark, task).items())
     alone = {d: policy.predict_actions({d: s.observation}, {d: s.task})[d] for d, s in steps.items()}
     assert all(torch.allclose(bright[d], action, atol=1e-6) for d, action in alone.items())

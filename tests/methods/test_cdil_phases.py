@@ -268,6 +268,6 @@ def test_feature_points_learn_from_images_alone_and_are_frozen_afterwards(
     later = CdilAlignment(policy)
     begin(later, data, monkeypatch)
     batch = first_batch(data, later.batch_spec)
-    assert all(steps.observation.image is None for steps in batch.steps.values())
+    assert all(steps.observation.images == {} for steps in batch.steps.values())
     assert gradients(torch.stack([*later.losses(batch).values()]).sum(), policy.perception) == 0
     assert "perception" in later.frozen

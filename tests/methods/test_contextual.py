@@ -202,7 +202,7 @@ def test_images_are_read_frame_by_frame(tmp_path: Path) -> None:
     before = policy(pairs["left"], pairs["right"])
     before.sum().backward()
     assert all(parameter.grad is not None for parameter in policy.parameters())
-    image = pairs["right"].observation.image
+    image = pairs["right"].observation.images["camera"]
     assert image is not None
     image[pairs["right"].frame[0][2]] = 0
     changed = (policy(pairs["left"], pairs["right"]) != before).any(dim=1)

@@ -95,8 +95,8 @@ def test_reconstruction_is_of_every_domains_images(seen_file: Path) -> None:
     ((loss, weight),) = term(batch).values()
     assert weight == 0.25
     errors = [
-        (made - batch.steps[d].observation.image.float() / 255).square().mean().item()  # type: ignore[union-attr]
-        for d, made in term.reconstruct(batch.latent).items()
+        (made - batch.steps[d].observation.images[name].float() / 255).square().mean().item()
+        for (d, name), made in term.reconstruct(batch.latent).items()
     ]
     assert len(errors) == 2
     assert loss.item() == pytest.approx(sum(errors) / 2, rel=1e-4)

@@ -42,7 +42,7 @@ def test_points_join_the_state_where_there_is_a_camera(kind: Callable[..., Trans
     policy = kind(tiny.problem([BLIND, camera("seeing")], TASKS), hidden=8, image_channels=[4, 3])
     assert policy.perception.sizes == {"blind": 3, "seeing": 8}
     image = torch.randint(0, 256, (5, 8, 8, 3), dtype=torch.uint8)
-    observation = Observation(torch.zeros(5, 2), image)
+    observation = Observation(torch.zeros(5, 2), {"camera": image})
     points = policy.perception.image_encoders["seeing"](image)
     assert torch.equal(policy.features("seeing", observation), torch.cat([torch.zeros(5, 2), points], dim=1))
     with pytest.raises(AssertionError, match="no image, but domain 'seeing' has a camera"):
@@ -73,7 +73,7 @@ def test_images_are_drawn_from_their_points_alone(seen_file: Path) -> None:
     steps = {domain: dataset.take(torch.arange(4)) for domain, dataset in data.datasets.items()}
     state = {domain: policy.features(domain, found.observation) for domain, found in steps.items()}
     drawn = {d: redrawing.decoders[d](s[:, policy.domains[d].state_size :]) for d, s in state.items()}
-    images = {d: found.observation.image for d, found in steps.items() if found.observation.image is not None}
+    images = {d: found.observation.images["camera"] for d, found in steps.items()}
     assert torch.equal(redrawing.losses(state, steps)["reconstruction"], reconstruction(drawn, images))
     assert set(redrawing.losses(state, {"left": steps["left"]})) == {"reconstruction"}
     blind = GamaPolicy(data.problem, hidden=8, image_channels=[])

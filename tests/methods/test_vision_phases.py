@@ -46,7 +46,8 @@ def looks(phase: Alignment | Adaptation) -> list[int]:
     """How many images each pass through the image encoder saw, as they happen."""
     counts: list[int] = []
     assert phase.policy.image_encoder is not None
-    phase.policy.image_encoder.register_forward_hook(lambda module, args, out: counts.append(len(args[0])))
+    (encoder,) = phase.policy.image_encoder.values()
+    encoder.register_forward_hook(lambda module, args, out: counts.append(len(args[0])))
     return counts
 
 
@@ -65,8 +66,10 @@ def reconstruction_of(phase: Alignment) -> ImageReconstruction:
 
 
 def image_decoder_of(phase: Alignment) -> ImageDecoder:
-    decoder = reconstruction_of(phase).image_decoder
-    assert decoder is not None
+    decoders = reconstruction_of(phase).image_decoder
+    assert decoders is not None
+    (decoder,) = decoders.values()
+    assert isinstance(decoder, ImageDecoder)
     return decoder
 
 
@@ -89,7 +92,7 @@ def test_one_pass_over_all_images_gives_the_losses_of_separate_passes(
     expected = {
         "bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}),
         "mmd": mmd([*latent.values()], bandwidths=tiny.KERNELS),
-        "reconstruction": reconstruction(memory, {d: s.observation.image for d, s in steps.items()}),  # type: ignore[misc]
+        "reconstruction": reconstruction(memory, {d: s.observation.images["camera"] for d, s in steps.items()}),
         "tcc": tcc(u[of_u.frame], of_u.mask, v[of_v.frame], of_v.mask),
     }
     for name, value in expected.items():
@@ -121,7 +124,7 @@ def test_images_may_be_halved_before_they_are_reconstructed(
 ) -> None:
     data = seen.data_module(seen_file)
     term = ImageReconstruction(seen.policy(data), downsampling=halved)
-    image = term.reconstruct({"right": torch.zeros(2, 8)})["right"]
+    image = term.reconstruct({"right": torch.zeros(2, 8)})["right", "camera"]
     assert image.shape == (2, *sides, 3)
 
 
@@ -209,7 +212,7 @@ def test_adaptation_encodes_few_large_images_at_a_time(
     make_trainer(epochs=1).fit(phase, datamodule=data)
     assert max(counts) == 50
     assert sum(counts) == sum(map(len, data.datasets.values()))
-    images = data.datasets["left"].observation.image
+    images = data.datasets["left"].observation.images["camera"]
     assert isinstance(images, ImageFile)
     assert images.held_bytes == 0
 

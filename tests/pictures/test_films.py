@@ -57,8 +57,8 @@ def test_only_the_first_episodes_are_kept() -> None:
 def test_images_are_those_that_stepping_by_hand_shows() -> None:
     simulator, recorder = SeenPoint(1, image_size=9, horizon=4), FilmRecorder(2)
     actions, rows = np.random.default_rng(0).uniform(-1, 1, (4, 3, 2)), np.arange(3)
-    images = [simulator.reset(TASKS[:3], SEEDS[:3]).image]
-    images += [simulator.step(action, rows).observation.image for action in actions]
+    images = [simulator.reset(TASKS[:3], SEEDS[:3]).images["camera"]]
+    images += [simulator.step(action, rows).observation.images["camera"] for action in actions]
     script = iter(actions)
     rollout(simulator, lambda seen, running: next(script), TASKS[:3], SEEDS[:3], observers=[recorder])
     for episode, found in enumerate(recorder.films(2)):

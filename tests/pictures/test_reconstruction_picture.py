@@ -30,8 +30,7 @@ def test_each_domains_own_images_are_shown_and_what_the_decoder_makes_of_them(se
     assert [*found] == ["left", "right"]
     for domain, (images, made) in found.items():
         states = sample_states(data, domain, 5)
-        assert states.image is not None
-        np.testing.assert_array_equal(images, states.image.numpy())
+        np.testing.assert_array_equal(images, states.images["camera"].numpy())
         latent = encode(phase.policy, domain, states)
         np.testing.assert_allclose(made, term.reconstruct({domain: latent})[domain].detach().numpy(), atol=1e-5)
 

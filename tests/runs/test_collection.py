@@ -267,10 +267,8 @@ def test_the_last_image_is_kept_with_the_last_state() -> None:
     for trajectory in [t for t in seen.demonstrations(2) if t.domain == "left"]:
         simulator.reset([trajectory.task], [trajectory.seed])
         last = [simulator.step(action[None], np.array([0])).observation for action in trajectory.actions][-1]
-        assert trajectory.observation.image is not None
-        assert last.image is not None
         np.testing.assert_array_equal(trajectory.observation.state[-1], last.state[0])
-        np.testing.assert_array_equal(trajectory.observation.image[-1], last.image[0])
+        np.testing.assert_array_equal(trajectory.observation.images["camera"][-1], last.images["camera"][0])
 
 
 @pytest.mark.parametrize("random_start_steps", [0, 4])

@@ -135,10 +135,10 @@ def test_policies_that_see_leave_too(tmp_path: Path) -> None:
     name = policy.cameras[-1]
     export(RobotPolicy(policy, name, "x"), "onnx", tmp_path / "p.onnx", {})
     rng, spec = np.random.default_rng(0), policy.domains[name]
-    image = rng.integers(0, 255, (3, *spec.image_key.shape), dtype=np.uint8)  # type: ignore[union-attr]
+    image = rng.integers(0, 255, (3, *spec.image_keys[0].shape), dtype=np.uint8)
     state = rng.normal(size=(3, spec.state_size)).astype(np.float32)
     columns = [state[:, spec.columns([key.name])] for key in spec.state_keys]
-    expected = policy.act(Observation(state, image), name, "x")
+    expected = policy.act(Observation(state, {spec.image_keys[0].name: image}), name, "x")
     assert np.abs(by_onnx(tmp_path / "p.onnx", [*columns, image]) - expected).max() < CLOSE
 
 

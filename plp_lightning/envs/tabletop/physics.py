@@ -61,7 +61,7 @@ class TabletopPhysics(Engine[Room]):
         return self._observation(rows), ~valid
 
     def _observation(self, rows: np.ndarray) -> Observation[np.ndarray]:
-        return Observation(self.observed[rows], self.images[rows])
+        return Observation(self.observed[rows], {"image": self.images[rows]})
 
     def _start(self, room: Room, part: slice, layouts: Sequence[Layout]) -> None:
         for row in range(part.start, part.stop):

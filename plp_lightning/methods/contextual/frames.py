@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from datamodules.types import DomainSpec, Observation
-from plp_lightning.networks import ImageEncoder, ImageEncoding
+from plp_lightning.networks import ImageEncoderFactory, Vision, build_vision
 
 MOST_IMAGES = 512
 """Images whose activations training holds at a time: whole trajectories have thousands of frames."""
@@ -57,7 +57,7 @@ def lay_out(mask: Tensor) -> Tensor:
 
 
 class FrameEmbedding(nn.Module):
-    """State, image and, if wished, action of a step, and the step's number → W units; positions are learned.
+    """State, images and, if wished, action of a step, and the step's number → W units; positions are learned.
 
     Args:
         spec: The domain.
@@ -65,16 +65,16 @@ class FrameEmbedding(nn.Module):
         width: W.
         length: Most steps of a sequence.
         dropout: Share of units that training leaves out.
-        images: Sizes of the image encoder, in a domain with a camera.
+        images: Maker of the image encoders, in a domain with cameras.
     """
 
     def __init__(
-        self, spec: DomainSpec, actions: int, width: int, length: int, dropout: float, images: ImageEncoding
+        self, spec: DomainSpec, actions: int, width: int, length: int, dropout: float, images: ImageEncoderFactory
     ) -> None:
         super().__init__()
-        camera = spec.image_key if images.channels else None
-        self.image_encoder = None if camera is None else images.build(camera.shape)
-        self.linear = nn.Linear(spec.state_size + actions + (0 if camera is None else images.features), width)
+        self.domain, self.image_encoder = spec.name, build_vision([spec], images)
+        features = 0 if self.image_encoder is None else self.image_encoder.width
+        self.linear = nn.Linear(spec.state_size + actions + features, width)
         self.position = nn.Embedding(length, width)
         nn.init.normal_(self.position.weight, std=POSITION_SCALE)
         self.dropout = nn.Dropout(dropout)
@@ -83,15 +83,15 @@ class FrameEmbedding(nn.Module):
         """States ``(F, O)``, images ``(F, H, W, C)``, steps ``(F,)``, actions ``(F, A)`` if seen → ``(F, W)``."""
         parts = [observation.state] if action is None else [observation.state, action]
         if self.image_encoder is not None:
-            assert observation.image is not None, "expected images"
-            parts.append(self._encode_images(self.image_encoder, observation.image))
+            parts.append(self._encode_images(self.image_encoder, observation))
         embedded: Tensor = self.dropout(self.linear(torch.cat(parts, dim=1)) + self.position(time))
         return embedded
 
-    def _encode_images(self, encoder: ImageEncoder, image: Tensor) -> Tensor:
-        """Features ``(F, features)``; of many images the activations are computed again in the backward pass."""
-        if torch.is_grad_enabled() and len(image) > MOST_IMAGES:
-            parts = image.split(MOST_IMAGES)
-            return torch.cat([checkpoint(encoder, part, use_reentrant=False) for part in parts])
-        features: Tensor = encoder(image)
+    def _encode_images(self, encoder: Vision, observation: Observation[Tensor]) -> Tensor:
+        """Vectors ``(F, W)``; of many images the activations are computed again in the backward pass."""
+        rows = len(observation.state)
+        if torch.is_grad_enabled() and rows > MOST_IMAGES:
+            parts = [observation.take(slice(i, i + MOST_IMAGES)) for i in range(0, rows, MOST_IMAGES)]
+            return torch.cat([checkpoint(encoder, {self.domain: part}, use_reentrant=False) for part in parts])
+        features: Tensor = encoder({self.domain: observation})
         return features

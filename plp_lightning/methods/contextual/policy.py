@@ -17,7 +17,7 @@ from plp_lightning.methods.contextual.frames import FrameEmbedding, Packing, lay
 from plp_lightning.methods.contextual.prompts import Prompts
 from plp_lightning.methods.contextual.transformer import Cache, TransformerDecoder, TransformerEncoder
 from plp_lightning.methods.policy import Observations, Parts, Policy
-from plp_lightning.networks import ImageEncoding, InputScaler
+from plp_lightning.networks import ImageEncoderFactory, ImageEncoding, InputScaler
 
 MOST_ROWS = 256
 """Episodes that are begun together where only their first step is asked for."""
@@ -39,7 +39,7 @@ class ContextualPolicy(Policy):
         max_length: Most steps of an episode or a demonstration. Of longer demonstrations the last steps are shown,
             of longer episodes the first are trained on.
         scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
-        image_encoder: Sizes of either domain's image encoder; without channels the policy is blind.
+        image_encoder: Class and sizes of either domain's image encoders; without channels the policy is blind.
 
     Raises:
         ConfigError: If ``heads`` does not divide ``hidden``, or there are more than two domains.
@@ -56,13 +56,13 @@ class ContextualPolicy(Policy):
         dropout: Fraction = 0.2,
         max_length: PositiveInt = 1200,
         scaling: dict[str, Scaling] | None = None,
-        image_encoder: ImageEncoding = ImageEncoding(),
+        image_encoder: ImageEncoderFactory = ImageEncoding(),
     ) -> None:
         super().__init__(problem)
         _check(problem, hidden, heads)
         self.max_length = max_length
         self.source, self.target = self.domains[problem.source_domain], self.domains[problem.target_domain]
-        self.sees = bool(image_encoder.channels) and any(spec.image_key is not None for spec in problem.domains)
+        self.sees = bool(self.cameras) and not image_encoder.blind
         self.scaler = InputScaler(problem.domains, problem.statistics, scaling or {})
         self.prompts = Prompts(self.source, problem.tasks, self.sees)
         self.shown = FrameEmbedding(self.source, self.source.action_size, hidden, max_length, dropout, image_encoder)
@@ -70,6 +70,11 @@ class ContextualPolicy(Policy):
         self.encoder = TransformerEncoder(hidden, heads, encoder_layers, feed_forward, dropout)
         self.decoder = TransformerDecoder(hidden, heads, decoder_layers, feed_forward, dropout)
         self.head = nn.Linear(hidden, self.target.action_size)
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        parts = {"shown": self.shown.image_encoder, "seen": self.seen.image_encoder}
+        return {name: part for name, part in parts.items() if part is not None and part.freeze}
 
     @property
     def acts_in(self) -> tuple[str, ...]:

@@ -26,16 +26,19 @@ class Prompts(nn.Module):
 
     state: Tensor
     action: Tensor
-    image: Tensor
     offset: Tensor
 
     def __init__(self, spec: DomainSpec, tasks: Sequence[str], images: bool) -> None:
         super().__init__()
         self.domain, self.tasks = spec.name, tuple(tasks)
-        self.camera = spec.image_key.shape if spec.image_key is not None and images else None
+        cameras = spec.image_keys if images else ()
+        self.cameras = {key.name: f"image_{i}" if i else "image" for i, key in enumerate(cameras)}
         self.register_buffer("state", torch.zeros(0, spec.state_size))
         self.register_buffer("action", torch.zeros(0, spec.action_size))
-        self.register_buffer("image", torch.zeros(0, *(self.camera or ()), dtype=torch.uint8))
+        for key, name in zip(cameras, self.cameras.values(), strict=True):
+            self.register_buffer(name, torch.zeros(0, *key.shape, dtype=torch.uint8))
+        if not cameras:  # as checkpoints always had it
+            self.register_buffer("image", torch.zeros(0, dtype=torch.uint8))
         self.register_buffer("offset", torch.zeros(len(tasks) + 1, dtype=torch.int64))
         self.register_load_state_dict_pre_hook(_make_room)  # type: ignore[no-untyped-call]
 
@@ -46,8 +49,8 @@ class Prompts(nn.Module):
         rows = torch.from_numpy(dataset.rows_of(chosen))
         seen = dataset.observation.take(rows)
         self.state, self.action = seen.state.to(device), dataset.action[rows].to(device)
-        if self.camera is not None and seen.image is not None:
-            self.image = seen.image.to(device)
+        for camera, name in self.cameras.items():
+            setattr(self, name, seen.images[camera].to(device))
         lengths = np.zeros(len(self.tasks), dtype=np.int64)
         lengths[order] = np.diff(dataset.offset)[chosen]
         self.offset = torch.from_numpy(np.concatenate([[0], lengths.cumsum()])).to(device)
@@ -68,13 +71,13 @@ class Prompts(nn.Module):
         step = torch.arange(int(length.max()), device=tasks.device)
         mask = step < length[:, None]
         rows = (start[:, None] + step)[mask]
-        image = None if self.camera is None else self.image[rows]
-        return PackedTrajectories(Observation(self.state[rows], image), lay_out(mask), mask, self.action[rows])
+        images = {camera: self.get_buffer(name)[rows] for camera, name in self.cameras.items()}
+        return PackedTrajectories(Observation(self.state[rows], images), lay_out(mask), mask, self.action[rows])
 
 
 def _make_room(prompts: nn.Module, state: dict[str, Any], prefix: str, *rest: object) -> None:
     """Before a checkpoint is loaded: how long the demonstrations are, only the checkpoint knows."""
-    for name in ("state", "action", "image"):
-        known, loaded = getattr(prompts, name), state.get(prefix + name)
+    for name, known in [*prompts.named_buffers(recurse=False)]:
+        loaded = state.get(prefix + name) if name != "offset" else None
         if loaded is not None and loaded.shape[1:] == known.shape[1:]:
             setattr(prompts, name, known.new_zeros(loaded.shape))

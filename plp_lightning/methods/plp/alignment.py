@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from datamodules.settings import PositiveInt
-from datamodules.types import Batch, BatchSpec, Observation, PackedTrajectories, Steps
+from datamodules.types import Batch, BatchSpec, Observation, PackedTrajectories, Steps, join_observations
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count, tasks_of
@@ -90,6 +90,4 @@ class Alignment(Phase[PortablePolicy]):
 
 def _stack(observation: Observation[Tensor], frames: PackedTrajectories) -> Observation[Tensor]:
     """A domain's steps ``(B, …)`` with the frames ``(F, …)`` of its paired trajectories below them."""
-    images = [seen.image for seen in (observation, frames.observation) if seen.image is not None]
-    state = torch.cat([observation.state, frames.observation.state])
-    return Observation(state, torch.cat(images) if len(images) == 2 else None)
+    return join_observations([observation, frames.observation], torch.cat)

@@ -1,8 +1,8 @@
 """STATE ENCODER → COMMON POLICY → ACTION DECODER: the paper's figure in one screen.
 
 Domains of any number and size share one network: states and actions are padded to one length, here and nowhere
-else, and a one-hot domain id goes into the encoder and the decoder. A camera's image becomes a vector that joins
-the state; a domain without a camera has zeros there.
+else, and a one-hot domain id goes into the encoder and the decoder. The images of a domain's cameras become a vector
+that joins the state; a domain without a camera has zeros there.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
@@ -22,14 +22,16 @@ from plp_lightning.methods.policy import AligningPolicy, Observations, Parts
 from plp_lightning.networks import (
     ActionDecoder,
     DomainColumns,
+    ImageEncoderFactory,
     ImageEncoding,
     InputScaler,
     Sharing,
     StateEncoder,
     TaskNetwork,
+    build_vision,
     split_by_domain,
+    vision_width,
 )
-from plp_lightning.networks.vision import encode_images, image_shape
 
 EncoderWord = Literal["all"]
 DecoderWord = Literal["none", "proprioception", "all"]
@@ -67,10 +69,11 @@ class PortablePolicy(AligningPolicy):
         columns: Columns of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which
             suits domains whose vectors mean the same.
         scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
-        image_encoder: Sizes of the image encoder; without channels the policy is blind: it leaves images aside.
+        image_encoder: The image encoder's class and sizes; without channels the policy is blind: it leaves images
+            aside.
 
     Raises:
-        ConfigError: If a setting names a key that no domain has, or the domains' images differ in shape.
+        ConfigError: If a setting names a key that no domain has, or a domain shows nothing that the policy looks at.
     """
 
     def __init__(
@@ -86,42 +89,43 @@ class PortablePolicy(AligningPolicy):
         decoder_state: DecoderState = "proprioception",
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
-        image_encoder: ImageEncoding = ImageEncoding(),
+        image_encoder: ImageEncoderFactory = ImageEncoding(),
     ) -> None:
         super().__init__(problem)
         domains, tasks = problem.domains, problem.tasks
         self.latent_size = latent
-        self.image_channels = image_encoder.channels
-        self.image_shape = image_shape(domains) if image_encoder.channels else None
-        self.image_features = 0 if self.image_shape is None else image_encoder.features
+        self.image_encoding = image_encoder
+        image_features = vision_width(domains, image_encoder)
         self.scaler = InputScaler(domains, problem.statistics, scaling or {})
         self.state_columns = _columns("encoder_state", encoder_state, get_args(EncoderWord), domains)
         self.context_columns = _columns("decoder_state", decoder_state, get_args(DecoderWord), domains)
         self.states = DomainColumns({name: len(seen) for name, seen in self.state_columns.items()}, columns)
         self.contexts = DomainColumns({name: len(seen) for name, seen in self.context_columns.items()}, columns)
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
-        inputs = self.states.width + len(domains) + self.image_features
+        inputs = self.states.width + len(domains) + image_features
         self.encoder = StateEncoder(inputs, latent, hidden, encoder_layers)
         self.common = TaskNetwork(latent, len(tasks), latent, hidden, policy_layers)
-        self.decoder_sees_images = decoder_state == "all" and self.image_shape is not None
-        context = self.contexts.width + len(domains) + (self.image_features if self.decoder_sees_images else 0)
+        self.decoder_sees_images = decoder_state == "all" and image_features > 0
+        context = self.contexts.width + len(domains) + (image_features if self.decoder_sees_images else 0)
         self.decoder = ActionDecoder(latent, context, self.actions.width, hidden, decoder_layers, gradient_floor)
-        self.image_encoder = None if self.image_shape is None else image_encoder.build(self.image_shape)
+        self.image_encoder = build_vision(domains, image_encoder)
+
+    @property
+    def frozen(self) -> dict[str, nn.Module]:
+        return {} if self.image_encoder is None else self.image_encoder.frozen
 
     def encode_images(self, observation: Observations) -> Observations:
-        """Replaces images by features ``(B_d, F)`` if encoder and decoder see them: the costliest part looks once."""
+        """Replaces images by features ``(B_d, W)`` if encoder and decoder see them: the costliest part looks once."""
         if self.image_encoder is None or not self.decoder_sees_images:
             return observation
-        joined = encode_images(self.image_encoder, observation, self.cameras)
-        features = split_by_domain(joined, {domain: seen.state for domain, seen in observation.items()})
-        return {d: obs._replace(image=features[d] if d in self.cameras else None) for d, obs in observation.items()}
+        return self.image_encoder.encode(observation)
 
     def encode(self, observation: Observations) -> dict[str, Tensor]:
         """φ: latent states ``(B_d, Z)`` by domain, in one pass through the shared encoder."""
         states = {domain: self._pick(seen, domain, self.state_columns) for domain, seen in observation.items()}
         inputs = self.states.join(states)
         if self.image_encoder is not None:
-            inputs = torch.cat([inputs, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
+            inputs = torch.cat([inputs, self.image_encoder(observation)], dim=1)
         return split_by_domain(self.encoder(inputs), states)
 
     def decode(self, latent_action: Parts, observation: Observations) -> dict[str, Tensor]:
@@ -130,7 +134,7 @@ class PortablePolicy(AligningPolicy):
         context = self.contexts.join(seen)
         if self.decoder_sees_images:
             assert self.image_encoder is not None
-            context = torch.cat([context, encode_images(self.image_encoder, observation, self.cameras)], dim=1)
+            context = torch.cat([context, self.image_encoder(observation)], dim=1)
         joined = torch.cat([latent_action[domain] for domain in observation])
         actions = split_by_domain(self.decoder(joined, context), seen)
         return {domain: self.actions.take(action, domain) for domain, action in actions.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -23,7 +23,9 @@ from plp_lightning.methods.plp.losses import (
 )
 from plp_lightning.methods.plp.losses.tcc import Similarity
 from plp_lightning.methods.plp.policy import PortablePolicy
-from plp_lightning.networks import ImageDecoder, mlp, split_by_domain, with_frozen_parameters
+from plp_lightning.networks import ImageDecoder, ImageEncoding, mlp, with_frozen_parameters
+from plp_lightning.networks.cameras import ByShape, View, shape_name
+from plp_lightning.networks.image_encoders import ImageShape
 from plp_lightning.networks.vision import downsampled_sizes
 
 
@@ -171,52 +173,83 @@ class DomainAdversarial(AlignmentTerm):
 
 
 class ImageReconstruction(AlignmentTerm):
-    """An image decoder that mirrors the policy's image encoder and learns along; nothing where there is no camera.
+    """Image decoders that mirror the policy's image encoders and learn along; nothing where there is no camera.
+
+    Cameras whose images have one shape share a decoder, which is told domain and slot (see
+    :mod:`plp_lightning.networks.cameras`).
 
     Latent states must keep what there was to see, so that a task to come finds it there (paper, appendix on
     architectures).
 
     Args:
         policy: The policy that is aligned.
-        weight: Weight of the loss; 0 leaves the image decoder away.
+        weight: Weight of the loss; 0 leaves the image decoders away.
         downsampling: Number of times that images are halved before; each makes the image decoder, the costliest part
             of a step with images, a layer shorter.
+        channels: Channels of the convolutions that are mirrored; those of the policy's image encoder if not given.
 
     Raises:
-        ConfigError: If no layer would be left.
+        ConfigError: If no layer would be left, or the policy's image encoder is of a class that has no channels.
     """
 
     def __init__(
-        self, policy: PortablePolicy, weight: NonNegativeFloat = 1.0, downsampling: NonNegativeInt = 0
+        self,
+        policy: PortablePolicy,
+        weight: NonNegativeFloat = 1.0,
+        downsampling: NonNegativeInt = 0,
+        channels: tuple[PositiveInt, ...] | None = None,
     ) -> None:
         super().__init__(policy)
         self.weight, self.order = weight, {domain: i for i, domain in enumerate(policy.domains)}
-        self.image_decoder = _image_decoder(policy, downsampling) if weight > 0 else None
+        vision = policy.image_encoder
+        self.shapes, self.slots = ({}, {}) if vision is None else (vision.shapes, vision.slots)
+        known = channels or _channels(policy) if self.shapes and weight > 0 else ()
+        self.image_decoder = _image_decoders(policy, known, downsampling) if known else None
 
     def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
         if self.image_decoder is None:
             return {}
-        images = {d: s.observation.image for d, s in batch.steps.items() if s.observation.image is not None}
-        loss = reconstruction(self.reconstruct({domain: batch.latent[domain] for domain in images}), images)
+        images = {(d, name): x for d, s in batch.steps.items() for name, x in s.observation.images.items()}
+        if not images:
+            return {}
+        loss = reconstruction(self.reconstruct(batch.latent), images)
         return {"reconstruction": (loss, self.weight)}
 
-    def reconstruct(self, latent: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Images as far as latent states tell of them: ``(B_d, Z)`` → ``(B_d, H, W, C)`` in (0, 1), by domain."""
+    def reconstruct(self, latent: Mapping[str, Tensor]) -> dict[View, Tensor]:
+        """Images as far as latent states tell of them: ``(B_d, Z)`` → ``(B_d, H, W, C)`` in (0, 1), by camera."""
         assert self.image_decoder is not None, "expected a policy that sees and a weight above 0"
-        joined = torch.cat([*latent.values()])
-        numbers, sizes = ([self.order[domain] for domain in latent], [len(part) for part in latent.values()])
-        domain = torch.repeat_interleave(torch.tensor(numbers), torch.tensor(sizes)).to(joined.device)
-        return split_by_domain(self.image_decoder(joined, domain), latent)
+        shapes = {(domain, name): shape for domain in latent for name, shape in self.shapes[domain].items()}
+        made: dict[View, Tensor] = {}
+        for shape in dict.fromkeys(shapes.values()):
+            views = {view: latent[view[0]] for view, other in shapes.items() if other == shape}
+            made |= self._decoded(self.image_decoder[shape_name(shape)], views)
+        return {view: made[view] for view in shapes}
+
+    def _decoded(self, decoder: nn.Module, latent: Mapping[View, Tensor]) -> dict[View, Tensor]:
+        joined, sizes = torch.cat([*latent.values()]), [len(part) for part in latent.values()]
+        numbers = [self.slots[domain][name] * len(self.order) + self.order[domain] for domain, name in latent]
+        place = torch.repeat_interleave(torch.tensor(numbers), torch.tensor(sizes)).to(joined.device)
+        return dict(zip(latent, decoder(joined, place).split(sizes), strict=True))
 
 
-def _image_decoder(policy: PortablePolicy, downsampling: int) -> ImageDecoder | None:
-    if policy.image_shape is None:
-        return None
-    channels = policy.image_channels
+def _channels(policy: PortablePolicy) -> tuple[int, ...]:
+    encoding = policy.image_encoding
+    if not isinstance(encoding, ImageEncoding):
+        found = f"ImageReconstruction mirrors channels, which {type(encoding).__name__} has none of"
+        raise ConfigError(f"{found}; expected some: name ImageReconstruction.channels, or leave the term away")
+    return encoding.channels
+
+
+def _image_decoders(policy: PortablePolicy, channels: Sequence[int], downsampling: int) -> ByShape:
     if downsampling >= len(channels):
         raise ConfigError(
             f"ImageReconstruction.downsampling is {downsampling}; expected 0 to {len(channels) - 1}; lower it"
         )
-    height, width, colours = policy.image_shape
-    shape = (*downsampled_sizes((height, width), downsampling)[-1], colours)
-    return ImageDecoder(policy.latent_size, len(policy.domains), shape, channels[downsampling:])
+    assert policy.image_encoder is not None
+    places = len(policy.domains) * policy.image_encoder.slot_count
+
+    def build(shape: ImageShape) -> ImageDecoder:
+        small = (*downsampled_sizes(shape[:2], downsampling)[-1], shape[2])
+        return ImageDecoder(policy.latent_size, places, small, channels[downsampling:])
+
+    return ByShape([shape for found in policy.image_encoder.shapes.values() for shape in found.values()], build)

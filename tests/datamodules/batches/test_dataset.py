@@ -38,12 +38,11 @@ def test_trajectories_are_found_by_task() -> None:
 def test_tensors_share_the_memory_of_the_arrays() -> None:
     state, image = np.zeros((4, 3), dtype=np.float32), torch.zeros(4, 2, 2, 3, dtype=torch.uint8)
     arrays = np.zeros((4, 2), np.float32), np.array([0, 4]), np.array([0]), np.array([7]), np.array([-1])
-    dataset = build_dataset(SPEC, state, image, *arrays)
+    dataset = build_dataset(SPEC, state, {"camera": image}, *arrays)
     state[1, 2], image[3, 0, 0, 0] = 8, 9
     taken = dataset.take(torch.tensor([1, 3])).observation
-    assert taken.image is not None
     assert taken.state[0, 2] == 8
-    assert taken.image[1, 0, 0, 0] == 9
+    assert taken.images["camera"][1, 0, 0, 0] == 9
 
 
 MIXED = tiny.dataset(SPEC, [4, 1, 3], [0, 0, 1], known=[0, 2])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import large_file
@@ -17,9 +18,9 @@ from demonstrations import ARM, CAMERA, TASKS, demonstrations
 from datamodules.batches.images import ImageFile, stored_images
 from datamodules.errors import TrajectoryFileError, UserError
 from datamodules.store.writer import TrajectoryFile, write_trajectories
-from datamodules.types import Batch, BatchSpec, Observation, Trajectory
+from datamodules.types import Batch, BatchSpec, Observation
 
-CHOSEN = np.array([1, 3, 4])
+CHOSEN, KEY = np.array([1, 3, 4]), CAMERA.observation[0]
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def file(tmp_path: Path) -> Iterator[TrajectoryFile]:
 
 
 def in_memory(file: TrajectoryFile) -> np.ndarray:
-    image = file.read("camera", CHOSEN).image
+    image = file.read("camera", CHOSEN).images["image"]
     assert image is not None
     return image
 
@@ -66,7 +67,7 @@ def test_images_of_episodes_and_of_ranges(file: TrajectoryFile) -> None:
 def test_a_domain_without_a_camera_has_no_images(file: TrajectoryFile) -> None:
     with pytest.raises(UserError, match="domain 'arm' has no camera; ask for its state alone"):
         file.images("arm")
-    assert stored_images(file, {"arm": CHOSEN}, 1.0) == {}
+    assert stored_images(file, {"arm": CHOSEN}, 1.0) == {"arm": {}}
 
 
 # -- images that stay in their file ------------------------------------------------------------------
@@ -75,7 +76,7 @@ def test_a_domain_without_a_camera_has_no_images(file: TrajectoryFile) -> None:
 @pytest.mark.parametrize("rows", [[0], [5, 0, 15, 5, 13], [*range(16)], [-1, 2]])
 def test_an_image_file_answers_as_a_tensor_would(file: TrajectoryFile, rows: list[int]) -> None:
     whole = torch.from_numpy(in_memory(file))
-    images = ImageFile(file, "camera", CHOSEN, kept_bytes=0)
+    images = ImageFile(file, "camera", KEY, CHOSEN, kept_bytes=0)
     assert images.shape == whole.shape == (16, 4, 5, 3)
     assert len(images) == 16
     for index in (np.array(rows), torch.tensor(rows)):
@@ -91,13 +92,13 @@ def test_no_more_is_kept_than_was_allowed_and_that_is_read_once(
     reads: list[int] = []
     original = TrajectoryFile.image_range
 
-    def counted(self: TrajectoryFile, domain: str, start: int, stop: int) -> np.ndarray:
+    def counted(self: TrajectoryFile, domain: str, start: int, stop: int, camera: str) -> np.ndarray:
         reads.append(start // 8)
-        return original(self, domain, start, stop)
+        return original(self, domain, start, stop, camera)
 
     monkeypatch.setattr(TrajectoryFile, "image_range", counted)
     size = 8 * 4 * 5 * 3
-    images = ImageFile(file, "camera", np.arange(6), kept_bytes=blocks * size)
+    images = ImageFile(file, "camera", KEY, np.arange(6), kept_bytes=blocks * size)
     whole = torch.from_numpy(file.images("camera"))
     for seed in range(4):
         rows = torch.randperm(30, generator=torch.Generator().manual_seed(seed))
@@ -109,14 +110,14 @@ def test_no_more_is_kept_than_was_allowed_and_that_is_read_once(
 
 
 def test_an_image_file_can_be_closed_and_sent_to_another_process(file: TrajectoryFile) -> None:
-    images, whole = ImageFile(file, "camera", CHOSEN, 10**6), torch.from_numpy(in_memory(file))
+    images, whole = ImageFile(file, "camera", KEY, CHOSEN, 10**6), torch.from_numpy(in_memory(file))
     file.close()
     assert torch.equal(pickle.loads(pickle.dumps(images))[slice(None)], whole)
     assert torch.equal(images[slice(None)], whole)
 
 
 def test_a_file_that_was_replaced_while_in_use_is_noticed(file: TrajectoryFile) -> None:
-    images = ImageFile(file, "camera", CHOSEN, 0)
+    images = ImageFile(file, "camera", KEY, CHOSEN, 0)
     file.close()
     file.path.unlink()
     write_trajectories(file.path, [ARM, CAMERA], TASKS, demonstrations(3), {})
@@ -129,9 +130,9 @@ def test_memory_is_shared_out_by_size_and_images_that_fit_are_tensors(seen_file:
         episodes = {"left": np.arange(18), "right": np.arange(9)}
         rows = {domain: len(file.rows(domain, chosen)) for domain, chosen in episodes.items()}
         needed = sum(rows.values()) * 9 * 9 * 3
-        fits = stored_images(file, episodes, needed / 2**30)
+        fits = {d: x["camera"] for d, x in stored_images(file, episodes, needed / 2**30).items()}
         assert all(isinstance(images, torch.Tensor) for images in fits.values())
-        short = stored_images(file, episodes, (needed - 1) / 2**30)
+        short = {d: x["camera"] for d, x in stored_images(file, episodes, (needed - 1) / 2**30).items()}
         for domain, images in short.items():
             assert isinstance(images, ImageFile)
             assert images.kept_bytes == (needed - 1) * rows[domain] // sum(rows.values())
@@ -142,16 +143,20 @@ def test_memory_is_shared_out_by_size_and_images_that_fit_are_tensors(seen_file:
 
 
 def contents(batch: Batch) -> list[torch.Tensor]:
-    steps = [t for s in batch.steps.values() for t in (*s.observation, s.action, s.task, s.row)]
-    steps += [t for s in batch.steps.values() for t in s.next_observation or ()]
-    return [*steps, *(t for s in batch.pairs.values() for t in (*s.observation, s.frame, s.mask))]
+    steps = [t for s in batch.steps.values() for t in (*parts(s.observation), s.action, s.task, s.row)]
+    steps += [t for s in batch.steps.values() if s.next_observation for t in parts(s.next_observation)]
+    return [*steps, *(t for s in batch.pairs.values() for t in (*parts(s.observation), s.frame, s.mask))]
+
+
+def parts(observation: Observation[torch.Tensor]) -> list[torch.Tensor]:
+    return [observation.state, *observation.images.values()]
 
 
 @pytest.mark.parametrize("place", [seen.ON_DISK, seen.HALF])
 def test_batches_are_the_same_wherever_images_are(seen_file: Path, place: float) -> None:
     one, other = seen.data_module(seen_file), seen.data_module(seen_file, place)
-    assert isinstance(one.datasets["left"].observation.image, torch.Tensor)
-    assert isinstance(other.datasets["left"].observation.image, ImageFile)
+    assert isinstance(one.datasets["left"].observation.images["camera"], torch.Tensor)
+    assert isinstance(other.datasets["left"].observation.images["camera"], ImageFile)
     for batch_spec in (BatchSpec(pairs="thinned"), BatchSpec("mix"), BatchSpec(next_observation=True)):
         for first, second in zip(one.loader(batch_spec), other.loader(batch_spec), strict=True):
             assert len(contents(first)) == len(contents(second)) > 0
@@ -165,16 +170,15 @@ def test_batches_hold_the_images_that_were_recorded(seen_file: Path) -> None:
     recorded = {
         tuple(state.tolist()): image
         for t in seen.demonstrations(6)
-        for state, image in zip(t.observation.state, t.observation.image, strict=True)  # type: ignore[arg-type]
+        for state, image in zip(t.observation.state, t.observation.images["camera"], strict=True)
     }
     for batch in data.loader(BatchSpec(pairs="thinned", next_observation=True)):
         parts = [part.observation for part in (*batch.steps.values(), *batch.pairs.values())]
         parts += [steps.next_observation for steps in batch.steps.values() if steps.next_observation is not None]
         assert len(parts) == 3 * len(batch.steps)
         for part in parts:
-            assert part.image is not None
-            assert part.image.dtype is torch.uint8
-            for state, image in zip(part.state, part.image, strict=True):
+            assert part.images["camera"].dtype is torch.uint8
+            for state, image in zip(part.state, part.images["camera"], strict=True):
                 np.testing.assert_array_equal(image, recorded[tuple(state.tolist())])
 
 
@@ -186,13 +190,9 @@ def test_the_fingerprint_is_that_of_the_values_wherever_they_are(seen_file: Path
 @pytest.mark.parametrize("row", [0, -1])
 def test_one_other_pixel_is_another_fingerprint(seen_file: Path, tmp_path: Path, row: int) -> None:
     changed = seen.demonstrations(6)[0]
-    image = changed.observation.image
-    assert image is not None
-    image = image.copy()
+    image = changed.observation.images["camera"].copy()
     image[row, 0, 0, 0] ^= 1
-    again = Trajectory(
-        changed.domain, changed.task, Observation(changed.observation.state, image), changed.actions, changed.seed, True
-    )
+    again = replace(changed, observation=Observation(changed.observation.state, {"camera": image}), success=True)
     specs = [domain.simulator.spec(name) for name, domain in seen.domains().items()]
     write_trajectories(tmp_path / "other.hdf5", specs, seen.TASKS, [again, *seen.demonstrations(6)[1:]], {})
     prints = {seen.data_module(path, 0).fingerprint for path in (seen_file, tmp_path / "other.hdf5")}
@@ -201,10 +201,10 @@ def test_one_other_pixel_is_another_fingerprint(seen_file: Path, tmp_path: Path,
 
 def test_who_does_not_look_gets_no_images(seen_file: Path) -> None:
     data = seen.data_module(seen_file, seen.ON_DISK)
-    blind = [s.observation.image for b in data.loader(BatchSpec("mix", images=False)) for s in b.steps.values()]
+    blind = [s.observation.images for b in data.loader(BatchSpec("mix", images=False)) for s in b.steps.values()]
     assert blind
-    assert all(image is None for image in blind)
-    images = data.datasets["left"].observation.image
+    assert all(images == {} for images in blind)
+    images = data.datasets["left"].observation.images["camera"]
     assert isinstance(images, ImageFile)
     assert images.held_bytes == 0
 

@@ -16,6 +16,7 @@ sys.path.insert(0, str(GOLDEN))
 
 from golden_values import HIGH, HZ, KEYS, LOW, TASKS, Golden, episodes  # noqa: E402
 
+DARK = ["--without_state"]
 LIMITS = ["--action_low", LOW, "--action_high", HIGH]
 ROBOT = ["robot.joint_pos", "robot.ee_pos"]
 CASES = {
@@ -70,23 +71,50 @@ def test_golden_files_come_in_as_they_were_recorded(tmp_path: Path, name: str, w
             expected = ((one.actions.astype(np.float64) - middle) / reach).astype(np.float32)
             np.testing.assert_array_equal(found.actions, expected)
             np.testing.assert_allclose(spec.owner_actions(found.actions), one.actions, atol=1e-6)
-            image, seen = found.observation.image, one.seen[which][:known]
-            assert image is not None
+            image, seen = found.observation.images["eye"], one.seen[which][:known]
             near = name in LOSSY and which == "front"  # Minari leaves images of few pixels as they are
             assert np.abs(image.astype(int) - seen).max() <= (0 if not near else 60)
             assert np.abs(image.astype(int) - seen).mean() <= (0 if not near else 12)
 
 
-@pytest.mark.parametrize("name", ["robomimic.hdf5", "minari_arrow", "lerobot_v3_0"])
-def test_several_cameras_are_to_be_chosen_from(tmp_path: Path, name: str) -> None:
+SEVERAL = pytest.mark.parametrize("name", ["robomimic.hdf5", "minari_arrow", "lerobot_v2_1", "lerobot_v3_0"])
+
+
+@SEVERAL
+def test_all_cameras_come_in_each_of_its_own_size(tmp_path: Path, name: str) -> None:
+    tasks = ["--task", TASKS[0]] if name == "robomimic.hdf5" else []
+    bring(name, tmp_path / "x.hdf5", *tasks)
+    with TrajectoryFile.open(tmp_path / "x.hdf5") as file:
+        assert file.version == "1.3"
+        shapes = {key.name: key.shape for key in file.spec("arm").image_keys}
+        both = {camera(name, which): next(iter(episodes())).seen[which].shape[1:] for which in ("front", "wrist")}
+        assert shapes == both
+        assert len({*shapes.values()}) == 2
+        for number, one in enumerate(episodes()):
+            found = find(file, one, number).observation.images
+            for which in ("front", "wrist"):
+                mine, theirs = found[camera(name, which)].astype(int), one.seen[which]
+                assert np.abs(mine - theirs[: len(mine)]).mean() <= (12 if name in LOSSY and which == "front" else 0)
+
+
+@SEVERAL
+def test_cameras_are_chosen_in_the_order_in_which_they_are_named(tmp_path: Path, name: str) -> None:
     form, *given = CASES[name]
     words = ["data", "import", form, GOLDEN / name, "--out", tmp_path / "x.hdf5", *given]
-    answer = plp(*words, "--domain", "eye")
-    assert answer.code == 2
-    assert f"found the cameras {camera(name, 'front')}, {camera(name, 'wrist')}; expected one a domain" in answer.err
-    told = plp(*words, "--domain", "eye", "--image", camera(name, "front")).out
-    assert f"left out: {camera(name, 'wrist')} (a camera that was not asked for)" in told
+    front, wrist = camera(name, "front"), camera(name, "wrist")
+    told = plp(*words, "--domain", "eye", "--image", front).out
+    assert f"left out: {wrist} (a camera that was not asked for)" in told
+    sizes = ["--resize", f"{wrist}=6x8"]
+    assert plp(*words, "--domain", "both", "--image", wrist, "--image", front, *sizes).code == 0
     assert plp(*words, "--domain", "blind", "--without_images").code == 0
+    assert plp(*words[:4], "--out", tmp_path / "y.hdf5", *LIMITS, "--fps", HZ, *DARK, "--domain", "eye").code == 0
+    with TrajectoryFile.open(tmp_path / "x.hdf5") as file:
+        assert [key.name for key in file.spec("both").image_keys] == [wrist, front]
+        assert file.images("both", [0], wrist).shape[1:] == (6, 8, 3)
+        np.testing.assert_array_equal(file.images("both", camera=front), file.images("eye"))
+    with TrajectoryFile.open(tmp_path / "y.hdf5") as file:
+        assert [key.kind for key in file.spec("eye").observation] == ["image", "image"]
+        assert file.trajectory("eye", 0).observation.state.shape[1:] == (0,)
 
 
 def test_images_are_resized_as_they_come_in(tmp_path: Path) -> None:

@@ -69,8 +69,7 @@ def test_recordings_come_in_with_all_that_was_seen(tmp_path: Path) -> None:
     for number, place in enumerate(places):
         one = found[TASKS[number % 2], number]
         np.testing.assert_array_equal(one.observation.state, place)
-        assert one.observation.image is not None
-        assert one.observation.image[:, 0, 0, 0].tolist() == [0, 1, 2, 3, 4, 5]
+        assert one.observation.images["eye"][:, 0, 0, 0].tolist() == [0, 1, 2, 3, 4, 5]
         assert one.success == bool(place[-1] > 0)
         np.testing.assert_allclose(spec.owner_actions(one.actions), np.diff(place, axis=0), atol=1e-5)
 

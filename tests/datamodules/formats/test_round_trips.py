@@ -36,9 +36,16 @@ def demonstrations(seen: bool, last: bool) -> Iterator[Trajectory]:
         state = random.normal(size=(steps + last, 5)).astype(np.float32)
         actions = random.uniform(-1, 1, size=(steps, 2)).astype(np.float32)
         actions[0] = [1, -1]
-        image = random.integers(0, 256, size=(steps + last, 6, 5, 3), dtype=np.uint8) if seen else None
+        images = {"eye": random.integers(0, 256, size=(steps + last, 6, 5, 3), dtype=np.uint8)} if seen else {}
         task = TASKS[number % 3]
-        yield Trajectory("arm", task, Observation(state, image), actions, number // 3, success=number != 4)
+        yield Trajectory(
+            "arm",
+            task,
+            Observation(state, images),
+            actions,
+            number // 3,
+            success=number != 4,
+        )
 
 
 def ours(path: Path, limits: str = "plain", seen: bool = True, last: bool = True) -> Path:
@@ -77,7 +84,7 @@ def test_round_trips_are_exact(tmp_path: Path, name: str, limits: str) -> None:
             np.testing.assert_array_equal(a.observation.state[:rows], b.observation.state)
             np.testing.assert_array_equal(a.actions, b.actions)
             if seen:
-                np.testing.assert_array_equal(a.observation.image[:rows], b.observation.image)  # type: ignore[index]
+                np.testing.assert_array_equal(a.observation.images["eye"][:rows], *b.observation.images.values())
 
 
 @pytest.mark.parametrize("name", ["robomimic", "lerobot", "d4rl"])
@@ -126,7 +133,14 @@ def test_images_stream(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     episodes, steps = 36, 20
     image = np.random.default_rng(0).integers(0, 256, size=(steps + 1, 64, 64, 3), dtype=np.uint8)
     made = (
-        Trajectory("arm", "go", Observation(np.zeros((steps + 1, 3), np.float32), image), np.zeros((steps, 2)), i, True)
+        Trajectory(
+            "arm",
+            "go",
+            Observation(np.zeros((steps + 1, 3), np.float32), {"eye": image}),
+            np.zeros((steps, 2)),
+            i,
+            True,
+        )
         for i in range(episodes)
     )
     write_trajectories(tmp_path / "ours.hdf5", [DomainSpec("arm", keys, 2, 10.0)], ["go"], made, {})

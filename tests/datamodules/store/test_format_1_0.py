@@ -58,7 +58,7 @@ def test_it_is_read(format_1_0: Path) -> None:
             group, mine = raw[f"domains/{domain}"], [t for t in found if t.domain == domain]
             for name, parts in {
                 "obs/position": [t.observation.state for t in mine],
-                "obs/camera": [t.observation.image for t in mine],
+                "obs/camera": [t.observation.images["camera"] for t in mine],
                 "actions": [t.actions for t in mine],
             }.items():
                 np.testing.assert_array_equal(group[name][()], np.concatenate(parts))  # type: ignore[arg-type]
@@ -111,4 +111,6 @@ def test_what_was_seen_last_joins_the_demonstrations_that_lacked_it(old: Path, t
     assert all(trajectory.last_known for trajectory in everything(old))
     assert old.read_bytes() == (tmp_path / "new.hdf5").read_bytes()
     with TrajectoryFile.open(old) as file:
-        np.testing.assert_array_equal(file.images("left", [0])[-1], file.trajectory("left", 0).observation.image[-1])  # type: ignore[index]
+        np.testing.assert_array_equal(
+            file.images("left", [0])[-1], file.trajectory("left", 0).observation.images["camera"][-1]
+        )

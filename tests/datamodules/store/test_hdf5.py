@@ -84,8 +84,7 @@ def test_counts_hold_zeros(tmp_path):
         assert file.counts() == {"arm": {"reach": 0, "push": 3, "lift": 0}, "camera": dict.fromkeys(TASKS, 0)}
         empty = file.read("camera")
         assert empty.state.shape == (0, 2)
-        assert empty.image is not None
-        assert empty.image.shape == (0, 4, 5, 3)
+        assert empty.images["image"].shape == (0, 4, 5, 3)
         assert list(empty.offset) == [0]
 
 
@@ -104,11 +103,11 @@ def test_read_lays_chosen_episodes_end_to_end(tmp_path_factory, chosen):
         steps = slice(arrays.offset[number], arrays.offset[number + 1])
         seen = [*range(steps.start, steps.stop), *([arrays.last[number]] if trajectory.last_known else [])]
         np.testing.assert_array_equal(arrays.state[seen], trajectory.observation.state)
-        np.testing.assert_array_equal(arrays.image[seen], trajectory.observation.image)
+        np.testing.assert_array_equal(arrays.images["image"][seen], trajectory.observation.images["image"])
         np.testing.assert_array_equal(arrays.actions[steps], trajectory.actions)
     assert [last >= 0 for last in arrays.last] == [t.last_known for t in single]
     assert len(arrays.actions) == arrays.offset[-1]
-    assert len(arrays.state) == len(arrays.image) == arrays.offset[-1] + sum(t.last_known for t in single)
+    assert len(arrays.state) == len(arrays.images["image"]) == arrays.offset[-1] + sum(t.last_known for t in single)
 
 
 def test_state_holds_the_keys_in_the_order_of_the_spec(path):
@@ -121,8 +120,8 @@ def test_state_holds_the_keys_in_the_order_of_the_spec(path):
 
 def test_images_can_be_left_out(path):
     with TrajectoryFile.open(path) as file:
-        assert file.read("camera", images=False).image is None
-        assert file.read("arm").image is None
+        assert file.read("camera", images=False).images == {}
+        assert file.read("arm").images == {}
 
 
 def test_storage_of_vectors_and_images(path, tmp_path):
@@ -221,7 +220,8 @@ def test_writing_does_not_replace_a_file(path):
 def changed(state=None, actions=None, image=None) -> Trajectory:
     old = demonstration(CAMERA, "push", 11)
     observation = Observation(
-        old.observation.state if state is None else state, old.observation.image if image is None else image
+        old.observation.state if state is None else state,
+        old.observation.images if image is None else {"image": image},
     )
     return replace(old, observation=observation, actions=old.actions if actions is None else actions)
 

@@ -65,9 +65,9 @@ def test_a_last_observation_that_the_file_lacked_is_added_to_its_demonstration(t
 
 def test_demonstrations_that_end_differently_are_two(tmp_path):
     one = demonstration(CAMERA, "push", 1, last=True)
-    image = one.observation.image.copy()
+    image = one.observation.images["image"].copy()
     image[-1] ^= 1
-    other = replace(one, observation=Observation(one.observation.state, image))
+    other = replace(one, observation=Observation(one.observation.state, {"image": image}))
     add_trajectories(tmp_path / "x", SPECS, TASKS, [one], WHY)
     add_trajectories(tmp_path / "x", SPECS, TASKS, [other], WHY)
     assert len(everything(tmp_path / "x")) == 2
