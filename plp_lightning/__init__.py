@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from plp_lightning.evaluation.scores import AlignmentScore
     from plp_lightning.methods import Adaptation, AligningPolicy, Alignment, Phase, Policy, PortablePolicy
     from plp_lightning.methods.plp.terms import AlignmentTerm, EncodedBatch
+    from plp_lightning.networks import ImageEncoderFactory
     from plp_lightning.recording import Recorder
     from plp_lightning.runs.policies import load_policy
 
@@ -30,6 +31,7 @@ _HOMES = {
     "plp_lightning.evaluation.scores": ("AlignmentScore",),
     "plp_lightning.methods": ("Adaptation", "AligningPolicy", "Alignment", "Phase", "Policy", "PortablePolicy"),
     "plp_lightning.methods.plp.terms": ("AlignmentTerm", "EncodedBatch"),
+    "plp_lightning.networks": ("ImageEncoderFactory",),
     "plp_lightning.recording": ("Recorder",),
     "plp_lightning.runs.policies": ("load_policy",),
 }
@@ -43,6 +45,7 @@ __all__ = [
     "DomainSpec",
     "EncodedBatch",
     "Expert",
+    "ImageEncoderFactory",
     "Observation",
     "ObservationKey",
     "Phase",

@@ -109,6 +109,8 @@ def _pair(file: TrajectoryFile, domain: str, task: str, arrays: DomainArrays) ->
     single = int((lengths == 1).sum())
     if single:
         yield Finding("warning", place, f"{single} demonstrations are one step long: nothing to align in time")
+    if not file.spec(domain).state_keys:
+        return
     states = (arrays.state[arrays.offset[e] : arrays.offset[e + 1]] for e in episodes)
     returning = sum(len(np.unique(state, axis=0)) < len(state) for state in states)
     if returning:

@@ -100,6 +100,8 @@ class SeenPoint(LinearPoint):
         state_size: O, at least 2.
         horizon: Control steps of an episode.
         image_size: Height and width of an image, pixels.
+        wrist_size: Height and width of the images of a second camera, ``wrist``, which moves with the point; 0 leaves
+            it away.
     """
 
     tasks = Tasks("SeenPoint", ("red", "green", "blue"))
@@ -110,14 +112,15 @@ class SeenPoint(LinearPoint):
         state_size: PositiveInt = 4,
         horizon: PositiveInt = 40,
         image_size: PositiveInt = 16,
+        wrist_size: NonNegativeInt = 0,
     ) -> None:
         super().__init__(map_seed, state_size, horizon)
-        self.image_size = image_size
+        self.sizes = {"camera": image_size} | ({"wrist": wrist_size} if wrist_size else {})
         self.view = _rotation(np.random.default_rng([map_seed, 1]).uniform(0, 2 * np.pi))
 
     def spec(self, name: str) -> DomainSpec:
-        camera = ObservationKey("camera", (self.image_size, self.image_size, 3), kind="image")
-        keys = (camera, ObservationKey("position", (self.state_size,)))
+        cameras = (ObservationKey(name, (size, size, 3), kind="image") for name, size in self.sizes.items())
+        keys = (*cameras, ObservationKey("position", (self.state_size,)))
         env = f"SeenPoint({self.map_seed})"
         return DomainSpec(name, keys, 2, control_hz=10.0, env=env)
 
@@ -136,16 +139,22 @@ class SeenPoint(LinearPoint):
 
     def _observe(self, episodes: np.ndarray) -> Observation[np.ndarray]:
         state = super()._observe(episodes).state
-        lights = self._light(self.colours[episodes]) + self._light(self.point[episodes][:, None])
-        return Observation(state, {"camera": np.minimum(lights * 255, 255).astype(np.uint8)})
+        centres = {"camera": np.zeros(2), "wrist": self.point[episodes][:, None]}
+        return Observation(state, {name: self._image(episodes, centres[name], n) for name, n in self.sizes.items()})
 
     def _goals_seen(self, episodes: np.ndarray) -> list[Discs]:
         return [Discs(self.colours[episodes, i], RADIUS, colour) for i, colour in enumerate((RED, GREEN, BLUE))]
 
-    def _light(self, places: np.ndarray) -> np.ndarray:
+    def _image(self, episodes: np.ndarray, centre: np.ndarray, size: int) -> np.ndarray:
+        point = self.point[episodes][:, None]
+        lights = self._light(self.colours[episodes] - centre, size) + self._light(point - centre, size)
+        image: np.ndarray = np.minimum(lights * 255, 255).astype(np.uint8)
+        return image
+
+    def _light(self, places: np.ndarray, size: int) -> np.ndarray:
         """Spots of light at places ``(n, C, 2)``, one a channel, as ``(n, H, W, C)``; C = 1 is white."""
         seen = places @ self.view.T
-        pixels = np.linspace(-REACH, REACH, self.image_size)
+        pixels = np.linspace(-REACH, REACH, size)
         rows, columns = (np.exp(-((pixels[:, None] - seen[:, None, :, i]) ** 2) / 0.05) for i in range(2))
         light: np.ndarray = rows[:, :, None] * columns[:, None]
         return light

@@ -42,6 +42,11 @@ class Policy(Configured, nn.Module, ABC):
         return tuple(name for name, spec in self.domains.items() if spec.image_keys)
 
     @property
+    def sees(self) -> bool:
+        """True if it looks at images."""
+        return bool(self.cameras)
+
+    @property
     def frozen(self) -> dict[str, nn.Module]:
         """Parts that no phase may change, by name: such as image encoders with weights that stay as they are."""
         return {}
@@ -77,7 +82,7 @@ class Policy(Configured, nn.Module, ABC):
         if not isinstance(observation, Observation):
             observation, lead = gather(spec, observation)
         else:
-            observation = fit_images(spec, observation)
+            observation = fit_images(spec, observation) if self.sees else Observation(observation.state)
         names = [task] * len(observation.state) if isinstance(task, str) else task
         actions = self._act(observation, domain, self._task_ids(names))
         if spec.action_low is not None:

@@ -172,6 +172,10 @@ class TranslatingPolicy(AligningPolicy):
         self.source, self.target = problem.source_domain, problem.target_domain
         self.perception = Perception(problem, scaling or {}, image_channels)
 
+    @property
+    def sees(self) -> bool:
+        return bool(self.perception.shapes)
+
     def features(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         """Scaled state and feature points ``(B, S_d)`` of a domain, of which everything else is a function."""
         state: Tensor = self.perception(domain, observation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,10 +15,14 @@ PREFIXES = {
     "policy.perception.eyes.": "policy.perception.image_encoders.",
 }
 """New prefixes of parameters by their old ones; the first two of the portable policy's alignment alone."""
+ONLY_ENCODER = re.compile(r"\bimage_encoder\.(convolutions|linear)\.")
+"""Names from when all images had one shape; networks take them as those of their only shape when they load them."""
 
 
 def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:
     """Brings a checkpoint, as Lightning saves it, up to date in place; one of today's stays as it is."""
+    if any(ONLY_ENCODER.search(name) for name in checkpoint["state_dict"]):
+        _forget_hashes(checkpoint)
     if "architecture" not in checkpoint["policy"]:
         return
     # GAMA's discriminator is where it was: it has a unit of changes, which the domain discriminator has not.
@@ -27,13 +32,17 @@ def upgrade_checkpoint(checkpoint: dict[str, Any]) -> None:
     names = [*checkpoint["state_dict"]]
     checkpoint["state_dict"] = {_moved(name, prefixes): value for name, value in checkpoint["state_dict"].items()}
     if any("eyes" in name for name in names):
-        # Hashes of frozen parts go over names too; they are taken anew.
-        checkpoint.get("callbacks", {}).pop("FreezeGuard", None)
+        _forget_hashes(checkpoint)
     if not checkpoint.get("lr_schedulers"):
         # CDIL's rates fell without a scheduler: one that goes on has to know the epoch.
         groups = [len(state["param_groups"]) for state in checkpoint.get("optimizer_states", [])]
         epoch = checkpoint.get("epoch", 0)
         checkpoint["lr_schedulers"] = [{"last_epoch": epoch, "lr_lambdas": [None] * count} for count in groups]
+
+
+def _forget_hashes(checkpoint: dict[str, Any]) -> None:
+    """Hashes of frozen parts go over names too; they are taken anew."""
+    checkpoint.get("callbacks", {}).pop("FreezeGuard", None)
 
 
 def _moved(name: str, prefixes: dict[str, str]) -> str:

@@ -94,7 +94,7 @@ class Vision(ByShape):
         for name, encoder in self.items():
             images = {place: image for place, image in self._images(observation).items() if self._named(place) == name}
             if images:
-                parts = encoder(torch.cat([*images.values()])).split([len(image) for image in images.values()])
+                parts = encoder(torch.cat([*images.values()])).split([image.shape[0] for image in images.values()])
                 made |= dict(zip(images, parts, strict=True))
         return torch.cat([self._slots(domain, seen, made) for domain, seen in observation.items()])
 
@@ -112,7 +112,7 @@ class Vision(ByShape):
         at = {slot: made[domain, camera] for camera, slot in self.slots[domain].items()}
         if len(at) * self.features == self.width == self.features:
             return at[0]
-        blank = seen.state.new_zeros(len(seen.state), self.features)
+        blank = seen.state.new_zeros(seen.state.shape[0], self.features)
         return torch.cat([at.get(slot, blank) for slot in range(self.slot_count)], dim=1)
 
 

@@ -2,6 +2,7 @@
 
 # No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 import pickle
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -112,4 +113,6 @@ def _read(file: Path) -> Mapping[str, Tensor]:
 
 
 def _read_torch(file: Path) -> Any:
-    return torch.load(file, map_location="cpu", weights_only=True)  # runs no code of the file
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of torch, on what it is about to refuse
+        return torch.load(file, map_location="cpu", weights_only=True)  # runs no code of the file

@@ -84,8 +84,9 @@ def _onnx(robot: RobotPolicy) -> bytes:
 
 
 def _torch(robot: RobotPolicy) -> bytes:
-    written = io.BytesIO()
-    torch.export.save(_program(robot), written)
+    written, program = io.BytesIO(), _program(robot)
+    with _quiet():
+        torch.export.save(program, written)
     return written.getvalue()
 
 
@@ -98,7 +99,7 @@ def _program(robot: RobotPolicy) -> torch.export.ExportedProgram:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without torch's warnings about its own names, and about packages that no policy here uses."""
+    """Without torch's warnings of its own names, packages that no policy here uses, and weights laid out for images."""
     exporter = logging.getLogger("torch.onnx")
     level = exporter.level
     exporter.setLevel(logging.ERROR)

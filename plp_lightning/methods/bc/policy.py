@@ -61,6 +61,10 @@ class BCPolicy(Policy):
         self.net = ActionDecoder(len(problem.tasks), seen, self.actions.width, hidden, layers, gradient_floor)
 
     @property
+    def sees(self) -> bool:
+        return self.image_encoder is not None
+
+    @property
     def frozen(self) -> dict[str, nn.Module]:
         return {} if self.image_encoder is None else self.image_encoder.frozen
 

@@ -111,6 +111,10 @@ class PortablePolicy(AligningPolicy):
         self.image_encoder = build_vision(domains, image_encoder)
 
     @property
+    def sees(self) -> bool:
+        return self.image_encoder is not None
+
+    @property
     def frozen(self) -> dict[str, nn.Module]:
         return {} if self.image_encoder is None else self.image_encoder.frozen
 

@@ -79,10 +79,12 @@ class StateOnlyAlignment(Alignment):
         lr_scheduler: SchedulerFactory | None = CosineDecay,
     ) -> None:
         super().__init__(policy, terms, epochs=epochs, optimizer=optimizer, lr_scheduler=lr_scheduler)
-        if not policy.context_columns[policy.problem.target_domain]:
+        target = policy.problem.target_domain
+        if not policy.context_columns[target] and not (policy.decoder_sees_images and target in policy.cameras):
             found = policy.arguments["decoder_state"]
             raise ConfigError(
-                f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception'"
+                f"decoder_state is {found!r}, but inverse dynamics has to see the state; set it to 'proprioception', "
+                "or to 'all' where images are all that a domain shows"
             )
         self.batch_spec = replace(self.batch_spec, next_observation=True)
         self.next_reduction, self.target = next_reduction, policy.problem.target_domain
