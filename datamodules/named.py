@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from datamodules.errors import UserError
-from datamodules.types import DomainSpec, Observation, ObservationKey
+from datamodules.types import NO_IMAGES, ArrayT, DomainSpec, Observation, ObservationKey
 
 
 def gather(spec: DomainSpec, named: Mapping[str, np.ndarray]) -> tuple[Observation[np.ndarray], tuple[int, ...]]:
@@ -34,8 +34,10 @@ def gather(spec: DomainSpec, named: Mapping[str, np.ndarray]) -> tuple[Observati
 def fit_images(spec: DomainSpec, observation: Observation[np.ndarray]) -> Observation[np.ndarray]:
     """Hold images ``(B, H, W, C)`` uint8 to a domain's cameras; where there is one, the array alone will do.
 
+    An observation without images is left as it is: a policy may look at none.
+
     Raises:
-        UserError: If a camera's images are missing, or of another shape, type or number than there are states.
+        UserError: If images of one camera of several are missing, or of another shape, type or number than states.
     """
     cameras, found = spec.image_keys, observation.images
     if isinstance(found, np.ndarray) and len(cameras) == 1:
@@ -43,11 +45,21 @@ def fit_images(spec: DomainSpec, observation: Observation[np.ndarray]) -> Observ
     if not isinstance(found, Mapping):
         expected = f"arrays by name, of {', '.join(key.name for key in cameras) or 'none'}"
         raise UserError(f"images are of type {type(found).__name__}; domain {spec.name!r} shows {expected}")
+    if not found:
+        return observation
     rows = {key.name: _lead(key, found, spec) for key in cameras}
     states = observation.state.shape[:-1]
     if odd := next((name for name, lead in rows.items() if lead != states), None):
         raise UserError(f"{odd!r} has {rows[odd]} rows, the state {states}; expected as many of each")
     return observation._replace(images={key.name: found[key.name] for key in cameras})
+
+
+def join_observations(
+    parts: Sequence[Observation[ArrayT]], join: Callable[[list[ArrayT]], ArrayT]
+) -> Observation[ArrayT]:
+    """Put observations of one domain together, by ``np.concatenate`` or ``torch.stack`` of their states and images."""
+    images = {name: join([part.images[name] for part in parts]) for name in parts[0].images}
+    return Observation(join([part.state for part in parts]), images or NO_IMAGES)
 
 
 def _lead(key: ObservationKey, named: Mapping[str, np.ndarray], spec: DomainSpec) -> tuple[int, ...]:

@@ -6,7 +6,7 @@ size of a domain, ``A`` action size of a domain, ``Z`` latent size, ``K`` tasks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
@@ -22,15 +22,13 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 ArrayT = TypeVar("ArrayT", np.ndarray, "Tensor")
-NO_IMAGES: Mapping[str, Any] = {}
-"""Images of a domain without a camera, or of one whose images nobody looks at."""
+NO_IMAGES: Mapping[str, Any] = {}  # Of a domain without a camera, or of one whose images nobody looks at
 
 
 class Observation(NamedTuple, Generic[ArrayT]):
     """A policy's raw view of one domain: numpy arrays in simulators and files, tensors in training."""
 
-    state: ArrayT
-    """Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec; O may be 0."""
+    state: ArrayT  # Float32 of shape ``(..., O)``: the domain's state keys, concatenated in the order of its spec
     images: Mapping[str, ArrayT] = NO_IMAGES
     """By image key, uint8 of shape ``(..., H, W, C)``, each of its own size; empty in a domain without a camera."""
 
@@ -40,17 +38,8 @@ class Observation(NamedTuple, Generic[ArrayT]):
 
     def map(self: Observation[ArrayT], change: Callable[[ArrayT], Any]) -> Observation[Any]:  # type: ignore[misc]
         """The observation with ``change`` applied to its state ``(..., O)`` and its images ``(..., H, W, C)``."""
-        if not self.images:  # as in most training and evaluation, which take many small steps
-            return Observation(change(self.state))
-        return Observation(change(self.state), {name: change(image) for name, image in self.images.items()})
-
-
-def join_observations(
-    parts: Sequence[Observation[ArrayT]], join: Callable[[list[ArrayT]], ArrayT]
-) -> Observation[ArrayT]:
-    """Put observations of one domain together, by ``np.concatenate`` or ``torch.stack`` of their states and images."""
-    images = {name: join([part.images[name] for part in parts]) for name in parts[0].images}
-    return Observation(join([part.state for part in parts]), images or NO_IMAGES)
+        images = {name: change(image) for name, image in self.images.items()} if self.images else NO_IMAGES
+        return Observation(change(self.state), images)
 
 
 @dataclass(frozen=True)
@@ -107,8 +96,7 @@ class DomainSpec:
         spans = {key.name: range(n - key.shape[0], n) for key, n in zip(self.state_keys, stops, strict=True)}
         for name in (names := list(names)):
             if name not in spans:
-                has = ", ".join(spans) or "none"
-                raise UserError(f"domain {self.name!r} has no state key {name!r}; it has: {has}")
+                raise UserError(f"domain {self.name!r} has no state key {name!r}; it has: {', '.join(spans) or 'none'}")
         return [column for name in names for column in spans[name]]
 
     @property

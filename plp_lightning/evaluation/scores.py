@@ -12,10 +12,11 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from datamodules.errors import ConfigError
+from datamodules.named import join_observations
 from datamodules.settings import Configured, PositiveInt
 from datamodules.streams import Stream, generator
 from datamodules.transfer import TransferDataModule
-from datamodules.types import Observation, join_observations
+from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.envs.faults import blaming
 from plp_lightning.envs.maze.simulator import PointMaze

@@ -14,6 +14,7 @@ from datamodules.named import fit_images, gather
 from datamodules.problem import TransferProblem
 from datamodules.settings import Configured
 from datamodules.types import Actor, Observation
+from plp_lightning.networks import Vision
 
 Parts = Mapping[str, Tensor]
 """One tensor by domain, with as many rows as the domain has in the batch."""
@@ -42,14 +43,9 @@ class Policy(Configured, nn.Module, ABC):
         return tuple(name for name, spec in self.domains.items() if spec.image_keys)
 
     @property
-    def sees(self) -> bool:
-        """True if it looks at images."""
-        return bool(self.cameras)
-
-    @property
     def frozen(self) -> dict[str, nn.Module]:
-        """Parts that no phase may change, by name: such as image encoders with weights that stay as they are."""
-        return {}
+        """Image encoders whose weights are to stay as they are, whatever the phase, by name."""
+        return {name: part for name, part in self.named_modules() if isinstance(part, Vision) and part.freeze}
 
     @property
     def acts_in(self) -> tuple[str, ...]:
@@ -82,7 +78,7 @@ class Policy(Configured, nn.Module, ABC):
         if not isinstance(observation, Observation):
             observation, lead = gather(spec, observation)
         else:
-            observation = fit_images(spec, observation) if self.sees else Observation(observation.state)
+            observation = fit_images(spec, observation)
         names = [task] * len(observation.state) if isinstance(task, str) else task
         actions = self._act(observation, domain, self._task_ids(names))
         if spec.action_low is not None:

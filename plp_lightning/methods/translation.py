@@ -106,7 +106,8 @@ class Perception(nn.Module):
     def images(self, domain: str, observation: Observation[Tensor]) -> dict[str, Tensor]:
         """Images ``(B, H, W, C)`` of a domain's cameras, by the name of the encoder that looks at them."""
         cameras = self.cameras[domain]
-        assert observation.images or not cameras, f"no image, but domain {domain!r} has a camera"
+        if cameras and not observation.images:
+            raise ConfigError(f"no image, but domain {domain!r} has a camera; give its images beside the state")
         return {name: observation.images[key.name] for name, key in cameras.items()}
 
     def points_of(self, domain: str, state: Tensor) -> dict[str, Tensor]:
@@ -171,10 +172,6 @@ class TranslatingPolicy(AligningPolicy):
             )
         self.source, self.target = problem.source_domain, problem.target_domain
         self.perception = Perception(problem, scaling or {}, image_channels)
-
-    @property
-    def sees(self) -> bool:
-        return bool(self.perception.shapes)
 
     def features(self, domain: str, observation: Observation[Tensor]) -> Tensor:
         """Scaled state and feature points ``(B, S_d)`` of a domain, of which everything else is a function."""

@@ -69,11 +69,6 @@ class Vision(ByShape):
         """Number of slots, the most cameras that a domain has, or more."""
         return self.width // self.features
 
-    @property
-    def frozen(self) -> dict[str, nn.Module]:
-        """Itself, if its weights are to stay as they are."""
-        return {"image_encoder": self} if self.freeze else {}
-
     def train(self, mode: bool = True) -> Vision:
         super().train(mode and not self.freeze)
         return self
@@ -101,7 +96,9 @@ class Vision(ByShape):
     def _images(self, observation: Mapping[str, Observation[Tensor]]) -> dict[View, Tensor]:
         found = {(domain, camera): x for domain, seen in observation.items() for camera, x in seen.images.items()}
         expected = [(domain, camera) for domain in observation for camera in self.shapes[domain]]
-        assert found.keys() == {*expected}, f"images of {[*found]}, but cameras are {expected}"
+        if lost := [place for place in expected if place not in found]:
+            domain, camera = lost[0]
+            raise ConfigError(f"no images of camera {camera!r} in domain {domain!r}; give them beside the state")
         return {place: found[place] for place in expected}
 
     def _named(self, place: View) -> str:

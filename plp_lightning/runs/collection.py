@@ -15,10 +15,11 @@ from typing import NoReturn
 import numpy as np
 
 from datamodules.errors import UserError
+from datamodules.named import join_observations
 from datamodules.store.reader import TrajectoryFile, stored_count
 from datamodules.store.recorder import Recorder
 from datamodules.streams import EpisodeStream, episode_generator, episode_seed
-from datamodules.types import Observation, Trajectory, join_observations
+from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.base import Domain, Step, available_cores
 from plp_lightning.envs.rollout import Observer, rollout
 from plp_lightning.runs.plans import CollectionConfig

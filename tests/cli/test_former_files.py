@@ -152,7 +152,7 @@ def test_a_page_in_old_keys_is_the_page_in_new_ones(tmp_path: Path, capsys: pyte
     assert data == {"target_task": "goal_3", "val_fraction": 0.1, "mix_ratio": 1.5}
     assert (found["collection"]["hold_steps"], found["collection"]["random_start_steps"]) == (7, 2)
     encoder = settings(found["policy"])["image_encoder"]
-    assert list(encoder.get("init_args", encoder).values()) == [[4, 8], 16]
+    assert [settings(encoder)[name] for name in ("channels", "features")] == [[4, 8], 16]
     alignment = settings(found["alignment"])
     assert settings(alignment["optimizer"]) == {"lr": 5e-3, "weight_decay": 1e-5, "first_moment": 0.9}
     assert short(alignment["lr_scheduler"]["class_path"]) == "CosineDecay"
@@ -161,7 +161,7 @@ def test_a_page_in_old_keys_is_the_page_in_new_ones(tmp_path: Path, capsys: pyte
         "mmd": None,
         "tcc": {"weight": 0.2, "similarity": "scaled"},
         "adversarial": {"weight": 0.3, "penalty_weight": 0.7, "layers": 2, "hidden": 24},
-        "reconstruction": {"weight": 10.0, "downsampling": 1},
+        "reconstruction": {"weight": 10.0, "downsampling": 1, "channels": None},
     }
     assert settings(found["adaptation"])["lr_scheduler"] is None
     assert [(short(score["class_path"]), settings(score)["samples"]) for score in found["score"]] == [

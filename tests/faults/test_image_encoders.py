@@ -209,7 +209,7 @@ def test_arrays_that_are_no_images_of_the_cameras_are_told(tmp_path: Path) -> No
     policy, seen = plp_lightning.load_policy(cameras.run_of(tmp_path).path), cameras.observations(cameras.TWO, 2)
     images: dict[str, Any] = dict(seen.images)
     wrong: list[tuple[Any, str]] = [
-        ({}, "lacks 'wide'; domain 'two' shows wide, tip, wrist"),
+        ({}, "no images of camera 'wide' in domain 'two'; give them beside the state"),
         ({"wide": images["wide"]}, "lacks 'wrist'"),
         (images["wide"], "images are of type ndarray; domain 'two' shows arrays by name, of wide, wrist"),
         ({**images, "wrist": images["wrist"][:, :3]}, r"'wrist' is of shape \(2, 3, 6, 1\); expected \(…, 6, 6, 1\)"),

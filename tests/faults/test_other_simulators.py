@@ -245,7 +245,7 @@ UNTOLD = {"threads", "horizon"}  # What no step of an episode depends on
 OTHER: dict[str, Any] = {
     **{"map_seed": 5, "state_size": 6, "horizon": 33, "image_size": 24, "robot": "Sawyer", "joint_noise": 0.1},
     **{"layout": "medium", "swap_axes": True, "negate_actions": True, "mirror": True, "quarter_turns": 1, "metre": 2.0},
-    **{"frame": "gymnasium", "radius": 0.4, "jitter": 0.1, "legs": 4, "view": "front_left"},
+    **{"frame": "gymnasium", "radius": 0.4, "jitter": 0.1, "legs": 4, "view": "front_left", "wrist_size": 8},
 }
 
 

@@ -45,7 +45,7 @@ def test_points_join_the_state_where_there_is_a_camera(kind: Callable[..., Trans
     observation = Observation(torch.zeros(5, 2), {"camera": image})
     points = policy.perception.image_encoders["seeing"](image)
     assert torch.equal(policy.features("seeing", observation), torch.cat([torch.zeros(5, 2), points], dim=1))
-    with pytest.raises(AssertionError, match="no image, but domain 'seeing' has a camera"):
+    with pytest.raises(ConfigError, match="no image, but domain 'seeing' has a camera"):
         policy.features("seeing", Observation(torch.zeros(5, 2)))
 
 

@@ -60,14 +60,6 @@ class BCPolicy(Policy):
         seen = self.states.width + len(domains) + (0 if self.image_encoder is None else self.image_encoder.width)
         self.net = ActionDecoder(len(problem.tasks), seen, self.actions.width, hidden, layers, gradient_floor)
 
-    @property
-    def sees(self) -> bool:
-        return self.image_encoder is not None
-
-    @property
-    def frozen(self) -> dict[str, nn.Module]:
-        return {} if self.image_encoder is None else self.image_encoder.frozen
-
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
         scaled = {domain: self.scaler(seen.state, domain) for domain, seen in observation.items()}
         state = self.states.join(scaled)

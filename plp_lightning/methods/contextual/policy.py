@@ -62,22 +62,14 @@ class ContextualPolicy(Policy):
         _check(problem, hidden, heads)
         self.max_length = max_length
         self.source, self.target = self.domains[problem.source_domain], self.domains[problem.target_domain]
+        self.sees = bool(self.cameras) and not image_encoder.blind
         self.scaler = InputScaler(problem.domains, problem.statistics, scaling or {})
-        self.prompts = Prompts(self.source, problem.tasks, not image_encoder.blind)
+        self.prompts = Prompts(self.source, problem.tasks, self.sees)
         self.shown = FrameEmbedding(self.source, self.source.action_size, hidden, max_length, dropout, image_encoder)
         self.seen = FrameEmbedding(self.target, 0, hidden, max_length, dropout, image_encoder)
         self.encoder = TransformerEncoder(hidden, heads, encoder_layers, feed_forward, dropout)
         self.decoder = TransformerDecoder(hidden, heads, decoder_layers, feed_forward, dropout)
         self.head = nn.Linear(hidden, self.target.action_size)
-
-    @property
-    def sees(self) -> bool:
-        return self.shown.image_encoder is not None or self.seen.image_encoder is not None
-
-    @property
-    def frozen(self) -> dict[str, nn.Module]:
-        parts = {"shown": self.shown.image_encoder, "seen": self.seen.image_encoder}
-        return {name: part for name, part in parts.items() if part is not None and part.freeze}
 
     @property
     def acts_in(self) -> tuple[str, ...]:

@@ -8,8 +8,9 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from datamodules.named import join_observations
 from datamodules.settings import PositiveInt
-from datamodules.types import Batch, BatchSpec, Observation, PackedTrajectories, Steps, join_observations
+from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count, tasks_of
@@ -73,7 +74,8 @@ class Alignment(Phase[PortablePolicy]):
         the image encoder, the costliest part, is entered once, and what it gives serves the decoder too.
         """
         pairs, counts = batch.pairs, {domain: len(s.action) for domain, s in batch.steps.items()}
-        stacked = {d: _stack(s.observation, pairs[d]) if d in pairs else s.observation for d, s in batch.steps.items()}
+        stacked = {d: s.observation for d, s in batch.steps.items()}
+        stacked |= {d: join_observations([stacked[d], s.observation], torch.cat) for d, s in pairs.items()}
         seen = self.policy.encode_images(stacked)
         latent = self.policy.encode(seen)
         steps = {d: s._replace(observation=seen[d].take(slice(counts[d]))) for d, s in batch.steps.items()}
@@ -86,8 +88,3 @@ class Alignment(Phase[PortablePolicy]):
         latent_action = self.policy.latent_action(latent, tasks_of(steps))
         action = self.policy.decode(latent_action, {domain: s.observation for domain, s in steps.items()})
         return {"bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}, self.bc_reduction)}
-
-
-def _stack(observation: Observation[Tensor], frames: PackedTrajectories) -> Observation[Tensor]:
-    """A domain's steps ``(B, …)`` with the frames ``(F, …)`` of its paired trajectories below them."""
-    return join_observations([observation, frames.observation], torch.cat)

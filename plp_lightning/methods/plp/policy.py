@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
@@ -109,14 +109,6 @@ class PortablePolicy(AligningPolicy):
         context = self.contexts.width + len(domains) + (image_features if self.decoder_sees_images else 0)
         self.decoder = ActionDecoder(latent, context, self.actions.width, hidden, decoder_layers, gradient_floor)
         self.image_encoder = build_vision(domains, image_encoder)
-
-    @property
-    def sees(self) -> bool:
-        return self.image_encoder is not None
-
-    @property
-    def frozen(self) -> dict[str, nn.Module]:
-        return {} if self.image_encoder is None else self.image_encoder.frozen
 
     def encode_images(self, observation: Observations) -> Observations:
         """Replaces images by features ``(B_d, W)`` if encoder and decoder see them: the costliest part looks once."""
