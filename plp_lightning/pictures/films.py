@@ -61,7 +61,8 @@ class FilmRecorder(Observer):
         first = next(iter(observation.images.values()))  # of several cameras
         for episode, image in zip(episodes, first, strict=True):
             if episode < len(self._images):
-                self._images[episode].append(image.copy())
+                coloured = image[..., :3] if image.shape[-1] >= 3 else np.broadcast_to(image, (*image.shape[:2], 3))
+                self._images[episode].append(coloured.copy())
 
 
 def film_recorders(

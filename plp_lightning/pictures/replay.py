@@ -34,7 +34,7 @@ def check_filmable(simulator: Simulator, domain: str, task: str, seed: int, size
         ConfigError: If the simulator neither renders nor has a camera.
         UserError: If pictures cannot be drawn on this machine, or are none.
     """
-    if not isinstance(simulator, Rendered) and simulator.spec(domain).image_key is None:
+    if not isinstance(simulator, Rendered) and not simulator.spec(domain).image_keys:
         found = f"domain {domain!r} cannot be filmed: {type(simulator).__name__} neither renders nor has a camera"
         raise ConfigError(f"{found}; expected pictures: give it a method render(episodes, size)")
     if "mujoco" in simulator.needs:
@@ -74,7 +74,7 @@ def replay(simulator: Simulator, task: str, seed: int, actions: np.ndarray, size
 
 def _seen(simulator: Simulator, observation: Observation[np.ndarray], size: tuple[int, int]) -> np.ndarray:
     """The only episode's picture ``(H, W, 3)``; grey becomes a colour, and what is behind three channels is left."""
-    images: object = observation.image
+    images: object = next(iter(observation.images.values()), None)  # the first camera's, of several
     if isinstance(simulator, Rendered):
         with blaming(simulator):
             images = simulator.render(ONLY, size)

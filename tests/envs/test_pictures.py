@@ -77,8 +77,7 @@ def test_a_goal_is_at_the_same_place_for_all_bodies_and_frames(task: str) -> Non
 @drawn
 def test_a_simulator_with_a_camera_shows_what_that_sees() -> None:
     reach = Reach("front_left", image_size=64)
-    image = reach.reset(["red", "red"], [3, 4]).image
-    assert image is not None
+    image = reach.reset(["red", "red"], [3, 4]).images["image"]
     np.testing.assert_array_equal(reach.render(np.arange(2), (64, 64)), image)
 
 

@@ -88,8 +88,7 @@ def test_a_camera_is_enough() -> None:
     simulator = Camera(1, image_size=9)
     check_filmable(simulator, "seen", "red", 3, SIZE)
     played = replay(simulator, "red", 3, ACTIONS, SIZE)
-    first = SeenPoint(1, image_size=9).reset(["red"], [3]).image
-    assert first is not None
+    first = SeenPoint(1, image_size=9).reset(["red"], [3]).images["camera"]
     np.testing.assert_array_equal(played.frames[0], first[0])
     assert len(played.frames) == 10
 
