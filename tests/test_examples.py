@@ -81,7 +81,9 @@ def test_a_metric_of_ones_own_takes_a_class_and_an_overlay(tmp_path: Path, monke
     assert [metric["class_path"].rpartition(".")[2] for metric in metrics] == ["StepsToSuccess", "ActionChange"]
 
 
-@pytest.mark.parametrize(("name", "most"), [("coral", 60), ("neighbours", 45), ("action_change", 30), ("linear", 100)])
+@pytest.mark.parametrize(
+    ("name", "most"), [("coral", 60), ("neighbours", 45), ("action_change", 30), ("linear", 100), ("patches", 50)]
+)
 def test_an_extension_takes_two_files(name: str, most: int) -> None:
     files = sorted(EXAMPLES.glob(f"{name}.*"))
     assert [file.suffix for file in files] == [".py", ".yaml"]
@@ -109,6 +111,21 @@ def test_an_extension_trains_tests_and_is_loaded(name: str, tmp_path: Path, monk
     policy = plp_lightning.load_policy(run.path, allow_imports=trusted[1:])
     action = policy.act(Observation(np.zeros((3, 7), np.float32)), domain="tall", task="goal_1")
     assert action.shape == (3, 2)
+
+
+def test_an_image_encoder_of_ones_own_is_laid_over_a_page_with_cameras(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    pages = ["--config", ROOT / "tests" / "conf" / "seen.yaml", *TINY, "--config", EXAMPLES / "patches.yaml"]
+    words = [*pages, "--data.root", tmp_path, "--run_root", tmp_path / "runs", "--allow_imports", "patches"]
+    answer = plp("fit", *words)
+    assert answer.code == 0, answer
+    run = RunDirectory(tmp_path / "runs" / "seen" / "patches" / "blue" / "seed_0")
+    assert "train/reconstruction" in (run.phase("alignment") / "metrics.csv").read_text()
+    policy = plp_lightning.load_policy(run.path, allow_imports=["patches"])
+    observation = Observation(np.zeros((3, 5), np.float32), {"camera": np.zeros((3, 16, 16, 3), np.uint8)})
+    assert policy.act(observation, domain="right", task="red").shape == (3, 2)
 
 
 def test_a_policy_of_a_package_that_is_not_trusted_is_not_loaded(

@@ -24,7 +24,7 @@ from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class n
 from plp_lightning.cli.building import build
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import OURS, explain
-from plp_lightning.cli.layers import check_shape, completed, insert, overlay, without_spare_parts
+from plp_lightning.cli.layers import check_shape, completed, insert, overlay, with_encoder_class, without_spare_parts
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.cli.yaml_files import Tree, read_yaml
 from plp_lightning.envs import experts  # noqa: F401
@@ -124,14 +124,14 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> Resolved:
         renamed, changes = rename(content, phases, tree)
         told += _notice(f"{path}", changes)
         parts = {name: {"class_path": x} for name, x in renamed.items() if name in phases and isinstance(x, str)}
-        tree = overlay(tree, renamed | parts, allowed)
+        tree = overlay(tree, with_encoder_class(renamed | parts, tree), allowed)
     words, changes = _flags(arguments, tree)
     chosen, flags = _class_flags(words, phases)
     check_shape(chosen)
     chosen, more = rename(chosen, phases, tree)
     for value in option_values(arguments, "phases"):
         chosen["phases"] = _read(value)
-    tree = overlay(tree, chosen, allowed)
+    tree = overlay(tree, with_encoder_class(chosen, tree), allowed)
     _check_phases(tree, phases)
     kept, dropped = without_spare_parts(tree, phases, SPARE_TERMS)
     return Resolved(completed(kept, allowed), dropped, flags, [*told, *_notice("flags", [*changes, *more])])

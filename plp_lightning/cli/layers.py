@@ -126,6 +126,26 @@ def without_spare_parts(tree: Tree, phases: Sequence[str], terms: Sequence[str])
     return kept, dropped
 
 
+def with_encoder_class(tree: Tree, below: Tree) -> Tree:
+    """A configuration whose image encoder has a class, where a page states its settings alone.
+
+    It is the class that the configuration ``below`` has, or else ours.
+    """
+    said, known = (_encoder(part) for part in (tree, below))
+    if not isinstance(said, Mapping) or said.keys() & {"class_path", "init_args"}:
+        return tree
+    kind = known.get("class_path") if isinstance(known, Mapping) else None
+    given = {"class_path": kind or "ImageEncoding", "init_args": dict(said)}
+    policy = tree["policy"]
+    return {**tree, "policy": {**policy, "init_args": {**policy["init_args"], "image_encoder": given}}}
+
+
+def _encoder(tree: Tree) -> Any:
+    policy = tree.get("policy")
+    settings = policy.get("init_args") if isinstance(policy, Mapping) else None
+    return settings.get("image_encoder") if isinstance(settings, Mapping) else None
+
+
 def insert(tree: Tree, key: str, value: Any) -> None:
     """Set a dotted key."""
     *path, name = key.split(".")

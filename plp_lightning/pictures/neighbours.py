@@ -52,5 +52,5 @@ def neighbour_figure(latents: Mapping[str, np.ndarray], images: Mapping[str, np.
 
 
 def seen_images(seen: Mapping[str, Observation]) -> dict[str, np.ndarray]:
-    """Images ``(N, H, W, C)`` of the domains that have a camera."""
-    return {domain: np.asarray(states.image) for domain, states in seen.items() if states.image is not None}
+    """Images ``(N, H, W, C)`` of the domains that have a camera, of the first of several."""
+    return {d: np.asarray(next(iter(states.images.values()))) for d, states in seen.items() if states.images}
