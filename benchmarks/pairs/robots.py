@@ -34,6 +34,7 @@ class Reaching(Simulator):
     tasks = Tasks("Reaching", NAMES)
     threads = 1
     joints: int
+    actions = 0  # numbers of an action; as many as joints if 0
     start: np.ndarray  # of the joints ``(J,)``
     spread: np.ndarray  # of the starts around it ``(J,)``
 
@@ -62,7 +63,13 @@ class Reaching(Simulator):
         return np.stack([(self.tip(joints + d) - self.tip(joints - d)) / 2e-5 for d in step], axis=2)
 
     def spec(self, name: str) -> DomainSpec:
-        return DomainSpec(name, self.keys(), self.joints, self.control_hz, env=f"{type(self).__name__}{self.arguments}")
+        return DomainSpec(
+            name,
+            self.keys(),
+            self.actions or self.joints,
+            self.control_hz,
+            env=f"{type(self).__name__}{self.arguments}",
+        )
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Place of the tip ``(N, 2)``, which every robot shows, in its own unit and order."""
@@ -79,9 +86,20 @@ class Reaching(Simulator):
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         invalid = ~np.isfinite(actions).all(axis=1)
-        self.joint[episodes] += np.clip(np.nan_to_num(actions), -1, 1) * self.limits() / self.control_hz
+        self.move(episodes, np.clip(np.nan_to_num(actions), -1, 1))
         near = np.linalg.norm(self.tip(self.joint[episodes]) - self.goals[episodes], axis=1) < REACHED
         return Step(self._observe(episodes), near & ~invalid, invalid)
+
+    def move(self, episodes: np.ndarray, actions: np.ndarray) -> None:
+        """Let the joints of some episodes follow their actions ``(n, A)`` for a step."""
+        self.joint[episodes] += actions * self.limits() / self.control_hz
+
+    def towards(self, joints: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Actions ``(n, A)`` that bring the tip a velocity ``(n, 2)``: joints follow by damped least squares."""
+        jacobian = self.jacobian(joints)
+        damped = jacobian @ jacobian.transpose(0, 2, 1) + 0.01 * np.eye(2)
+        speeds = jacobian.transpose(0, 2, 1) @ np.linalg.solve(damped, velocity[:, :, None])
+        return speeds[:, :, 0] / self.limits()
 
     def _observe(self, episodes: np.ndarray) -> Observation[np.ndarray]:
         shown = self.show(self.joint[episodes])
@@ -219,8 +237,50 @@ class Scissors(Reaching):
         return state[:, 2:]
 
 
+class Cart(Reaching):
+    """A cart that drives forward and turns, so that its way to a place depends on where it looks.
+
+    It shows its direction as cosine and sine, and its place in centimetres.
+
+    Args:
+        control_hz: Control rate.
+    """
+
+    joints, actions = 3, 2  # x, y and direction; forward speed and turn
+    turn = 4.0  # rad/s
+
+    def __init__(self, control_hz: PositiveFloat = 20.0) -> None:
+        super().__init__(control_hz)
+        self.start, self.spread = np.array([0.2, 0.25, 1.57]), np.array([0.25, 0.1, 1.0])
+
+    def keys(self) -> tuple[ObservationKey, ...]:
+        return ObservationKey("direction", (2,)), ObservationKey("place", (2,), unit="cm")
+
+    def tip(self, joints: np.ndarray) -> np.ndarray:
+        return joints[:, :2]
+
+    def move(self, episodes: np.ndarray, actions: np.ndarray) -> None:
+        self.joint[episodes, 2] += actions[:, 1] * self.turn / self.control_hz
+        forward = np.maximum(actions[:, 0], -0.2) * SPEED / self.control_hz
+        looks = self.joint[episodes, 2]
+        self.joint[episodes, :2] += forward[:, None] * np.stack([np.cos(looks), np.sin(looks)], axis=1)
+
+    def towards(self, joints: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        off = np.arctan2(velocity[:, 1], velocity[:, 0]) - joints[:, 2]
+        off = (off + np.pi) % (2 * np.pi) - np.pi
+        forward = np.linalg.norm(velocity, axis=1) / SPEED * np.maximum(np.cos(off), 0)
+        return np.stack([forward, 6.0 * off / self.turn], axis=1)
+
+    def show(self, joints: np.ndarray) -> Mapping[str, np.ndarray]:
+        looks = joints[:, 2:]
+        return {"direction": np.concatenate([np.cos(looks), np.sin(looks)], axis=1), "place": 100 * joints[:, :2]}
+
+    def seen_tip(self, state: np.ndarray) -> np.ndarray:
+        return state[:, 2:] / 100
+
+
 class ReachingExpert(Expert):
-    """Goes straight to the place, slower when it is near; the joints follow by damped least squares."""
+    """Goes straight to the place, slower when it is near; the robot says which action that is."""
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
         assert isinstance(simulator, Reaching)
@@ -231,7 +291,4 @@ class ReachingExpert(Expert):
         joints = robot.joint[episodes]
         velocity = 2.0 * (robot.goals[episodes] - robot.tip(joints))
         velocity /= np.maximum(1.0, np.linalg.norm(velocity, axis=1, keepdims=True) / SPEED)
-        jacobian = robot.jacobian(joints)
-        damped = jacobian @ jacobian.transpose(0, 2, 1) + 0.01 * np.eye(2)
-        speeds = jacobian.transpose(0, 2, 1) @ np.linalg.solve(damped, velocity[:, :, None])
-        return np.clip(speeds[:, :, 0] / robot.limits(), -1, 1).astype(np.float32)
+        return np.clip(robot.towards(joints, velocity), -1, 1).astype(np.float32)
