@@ -65,7 +65,7 @@ def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     allow_imports(allowed)
     found = resolve(arguments, allowed)
     parser = build_parser(found.tree["phases"])
-    config = _parsed(parser, ["--config", dump_yaml(found.tree), *found.flags])
+    config = parsed(parser, ["--config", dump_yaml(found.tree), *found.flags])
     files = map(find_page, option_values(arguments, "config"))
     named = (file.stem for file in files if file.parent.name != "methods")
     if config.experiment is None:
@@ -79,7 +79,8 @@ def find_page(name: str) -> Path:
     return ours if not Path(name).exists() and ours.is_relative_to(PAGES) and ours.is_file() else Path(name)
 
 
-def _parsed(parser: ArgumentParser, words: list[str]) -> Namespace:
+def parsed(parser: ArgumentParser, words: list[str]) -> Namespace:
+    """Words as a parser reads them; a :class:`ConfigError` tells its complaint in one line."""
     told = io.StringIO()
     try:
         with contextlib.redirect_stderr(told):

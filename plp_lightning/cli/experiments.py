@@ -94,17 +94,20 @@ def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> li
     names = list(experiment.method.phases)
     if phase is None and origin is None:
         return names
-    if phase is None or (phase in names[:1] and origin is not None):
+    wanted = [] if phase is None else phase.split(",")
+    if not wanted or (wanted[0] in names[:1] and origin is not None):
         later = ", ".join(names[1:])
         raise ConfigError(f"--from {origin} stands in for the phases before --phase; name one of {later}")
-    if phase not in names:
-        raise ConfigError(
-            f"--phase is {phase!r}; the phases of method {experiment.method.name!r} are {', '.join(names)}"
-        )
-    if phase != names[0] and origin is None:
+    known = f"the phases of method {experiment.method.name!r} are {', '.join(names)}"
+    if unknown := [name for name in wanted if name not in names]:
+        raise ConfigError(f"--phase is {unknown[0]!r}; {known}")
+    first = names.index(wanted[0])
+    if wanted != names[first : first + len(wanted)]:
+        raise ConfigError(f"--phase is {phase!r}; {known}: name some that follow one another")
+    if first > 0 and origin is None:
         remedy = "name the run that holds it with --from RUN_DIR"
         raise ConfigError(f"--phase {phase} goes on from an earlier phase; {remedy}")
-    return [phase]
+    return wanted
 
 
 def _check_origin(experiment: Experiment, path: Path) -> None:
@@ -143,7 +146,7 @@ def _fit_options() -> OptionParser:
     description = "Train every phase of a method, evaluate and report."
     parser = OptionParser("plp fit", description=description, add_help=False, allow_abbrev=False)
     parser.add_argument("--resume", metavar="RUN_DIR", help="go on where this run stopped; takes no other option")
-    parser.add_argument("--phase", help="run this phase alone")
+    parser.add_argument("--phase", help="run this phase alone, or these, joined by commas")
     parser.add_argument("--from", dest="origin", metavar="RUN_DIR", help="run whose earlier phases --phase builds on")
     parser.add_argument("--print_config", action="store_true", help="print the resolved configuration and stop")
     return parser

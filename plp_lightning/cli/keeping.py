@@ -32,7 +32,7 @@ def keep(parser: ArgumentParser, config: Namespace, dropped: Sequence[str]) -> T
         again = _plain(parser, parser.parse_args(["--config", dump_yaml(kept)]))
     except ArgumentError as error:
         raise ConfigError(f"the configuration can't be kept, for it is not read again: {error}") from None
-    if changed := _first_change(kept, again):
+    if changed := first_change(kept, again):
         raise ConfigError(f"{changed} can't be kept in a file; expected plain data there: leave it away")
     for key in dropped:
         insert(kept, key, None)
@@ -67,9 +67,10 @@ def _may_stand(value: Any) -> bool:
     return (isinstance(value, plain) and not isinstance(value, Enum)) or callable(value)
 
 
-def _first_change(one: Any, other: Any, place: str = "") -> str:
-    """Dotted key of the first setting that differs; empty if none does."""
-    if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
-        found = (_first_change(one[key], other[key], f"{place}.{key}") for key in one)
+def first_change(one: Any, other: Any, place: str = "") -> str:
+    """Dotted key of the first setting that differs, or that only one has; empty if none does."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        keys = {**one, **other}
+        found = (first_change(one.get(key, keys), other.get(key, keys), f"{place}.{key}") for key in keys)
         return next(filter(None, found), "")
     return "" if repr(one) == repr(other) else place.lstrip(".")

@@ -18,6 +18,7 @@ from plp_lightning.stopping import stoppable
 
 VERBS = {
     "fit": ("plp_lightning.cli.experiments:run_fit", "train every phase of a method, evaluate, report"),
+    "sweep": ("plp_lightning.cli.sweep:run_sweep", "many runs: experiments × methods × target tasks × seeds"),
     "collect": ("plp_lightning.cli.experiments:run_collect", "collect the demonstrations that an experiment lacks"),
     "validate": ("plp_lightning.cli.assessing:run_validate", "held-out losses and alignment scores of a run"),
     "test": ("plp_lightning.cli.assessing:run_test", "success rates of a run in the simulators"),
@@ -29,7 +30,7 @@ VERBS = {
     "doctor": ("plp_lightning.cli.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
 }
 
-KEEPS = ("fit", "collect", "test", "predict", "rollout")
+KEEPS = ("fit", "sweep", "collect", "test", "predict", "rollout")
 """Verbs whose results are in files."""
 
 USAGE = """usage: plp VERB [options]

@@ -35,6 +35,11 @@ def positive(text: str) -> int:
     return _number(text, 1, 1_000_000_000, "at least 1")
 
 
+def not_negative(text: str) -> int:
+    """A count that may be 0, up to a thousand million."""
+    return _number(text, 0, 1_000_000_000, "at least 0")
+
+
 def seed(text: str) -> int:
     """A seed: a whole number that 32 bits hold."""
     return _number(text, 0, (1 << 32) - 1, f"from 0 to {(1 << 32) - 1}")
@@ -47,7 +52,8 @@ def pixels(text: str) -> int:
 
 def _number(text: str, least: int, most: int, told: str) -> int:
     if not text.isdecimal() or len(text) > len(str(most)) or not least <= int(text) <= most:
-        raise argparse.ArgumentTypeError(f"found {text!r}; expected a whole number {'of ' * (least == 1)}{told}")
+        of = "of " * told.startswith("at")
+        raise argparse.ArgumentTypeError(f"found {text!r}; expected a whole number {of}{told}")
     return int(text)
 
 

@@ -16,6 +16,7 @@ from plp_lightning.evaluation.verdict import facts
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
+from plp_lightning.runs.before import note_before
 from plp_lightning.runs.board import Progress, log_end
 from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.devices import device_name, on_device
@@ -46,7 +47,10 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
     prepare_demonstrations(experiment, run)
     for name in phases:
         if name not in run.done_phases():
-            _run_phase(experiment, run, name, weights_before(experiment, run, name, origin))
+            weights = weights_before(experiment, run, name, origin)
+            if origin is not None and weights is not None and phases == [name]:
+                note_before(experiment, run, name, weights, origin)
+            _run_phase(experiment, run, name, weights)
     write_results(experiment, run, origin)
     run.finish()
 

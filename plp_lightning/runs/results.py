@@ -66,7 +66,10 @@ def _trials_before(
     """Outcomes at the end of the phase before the last one; empty if there is none."""
     if len(done) > 1:
         return dict([*done.values()][-2]["trials"])
-    position = names.index(next(iter(done)))
+    first, begun = next(iter(done.items()))
+    if "before" in begun:  # the run before had another target task
+        return dict(begun["before"])
+    position = names.index(first)
     record = origin.phase_record(names[position - 1]) if origin is not None and position > 0 else {}
     return dict(record.get("trials", {}))
 

@@ -1,0 +1,33 @@
+"""Memory of this machine, and of processes, as Linux tells it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from pathlib import Path
+
+MEMORY, GROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
+
+
+def free_bytes() -> float:
+    """Bytes that new processes may take, within the limit of this process's group; endless where nobody tells."""
+    found = re.search(r"^MemAvailable: +(\d+) kB", _text(MEMORY), re.MULTILINE)
+    free = int(found[1]) * 1024 if found else math.inf
+    limit, used = _text(GROUP / "memory.max").strip(), _text(GROUP / "memory.current").strip()
+    if limit.isdecimal() and used.isdecimal():
+        cached = re.search(r"^inactive_file (\d+)", _text(GROUP / "memory.stat"), re.MULTILINE)
+        free = min(free, int(limit) - int(used) + (int(cached[1]) if cached else 0))
+    return free
+
+
+def peak_bytes(process: int) -> int:
+    """Most bytes that a process has had in memory; 0 if it has ended."""
+    found = re.search(r"^VmHWM:\s+(\d+) kB", _text(Path(f"/proc/{process}/status")), re.MULTILINE)
+    return int(found[1]) * 1024 if found else 0
+
+
+def _text(file: Path) -> str:
+    with contextlib.suppress(OSError):
+        return file.read_text()
+    return ""
