@@ -34,21 +34,39 @@ LATER = (
 """Keys that say nothing of what a phase before the last learns; file and proxy tasks stand for some of them."""
 
 
-def read_page(path: Path) -> SweepPage:
-    """Read the page of a sweep; a :class:`ConfigError` says what is wrong with it."""
+def read_page(path: Path, root: str | None = None) -> list[SweepPage]:
+    """Read the page of a sweep, and lay each of its ``parts`` over what it says beside them.
+
+    Args:
+        path: The page.
+        root: Folder of the run directories, in place of the page's.
+
+    Raises:
+        ConfigError: If something is wrong with it.
+    """
+    tree = read_yaml(path)
+    parts = tree.pop("parts", [{}])
+    if not isinstance(parts, list) or not parts or not all(isinstance(part, dict) for part in parts):
+        raise ConfigError(f"{path}: parts is {parts!r}; expected a list, each with keys and values: mend it")
+    if inner := next((part for part in parts if "root" in part), None):
+        raise ConfigError(f"{path}: a part sets root ({inner['root']!r}); expected one for all: set it beside parts")
+    return [_parse_page(tree | part | ({} if root is None else {"root": root})) for part in parts]
+
+
+def _parse_page(tree: Mapping[str, Any]) -> SweepPage:
     parser = ArgumentParser(prog="plp sweep", exit_on_error=False)
     parser.add_argument("--config", action="config")
     parser.add_class_arguments(SweepPage)
-    config = parsed(parser, ["--config", dump_yaml(read_yaml(path))])
+    config = parsed(parser, ["--config", dump_yaml(tree)])
     page: SweepPage = SweepPage(**{name: config[name] for name in SweepPage.__dataclass_fields__})
     return page
 
 
-def plan(page: SweepPage, flags: Sequence[str], only: str = "*") -> list[PlannedRun]:
+def plan(parts: Sequence[SweepPage], flags: Sequence[str], only: str = "*") -> list[PlannedRun]:
     """All runs of a page whose name matches ``only``.
 
     Args:
-        page: The page.
+        parts: The page's parts.
         flags: Further words for every run.
         only: Pattern of names as shells have them.
 
@@ -57,7 +75,7 @@ def plan(page: SweepPage, flags: Sequence[str], only: str = "*") -> list[Planned
             since it began.
     """
     _check_flags(flags)
-    runs = [run for variant in variants(page, find_word, flags) for run in _runs(variant, page.root)]
+    runs = [run for page in parts for variant in variants(page, find_word, flags) for run in _runs(variant, page.root)]
     _check_directories(runs)
     chosen = [run for run in runs if fnmatchcase(run.name, only)]
     if not chosen:

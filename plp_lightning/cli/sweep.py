@@ -8,7 +8,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -27,11 +26,12 @@ from plp_lightning.sweeps.table import SweepProgress
 def run_sweep(arguments: Sequence[str]) -> None:
     """``plp sweep --config PAGE``: every run of a page that is not done yet."""
     options, flags = _options().parse_known_args(list(arguments))
-    page = find_page(options.config)
-    settings = read_page(page)
-    if options.root is not None:
-        settings = replace(settings, root=options.root)
-    jobs = jobs_of(plan(settings, flags, options.only), Path(settings.root))
+    if len(options.config) > 1:
+        raise ConfigError(f"--config is given {len(options.config)} times; expected one page of a sweep: name one")
+    page = find_page(options.config[0])
+    parts = read_page(page, options.root)
+    root = Path(parts[0].root)
+    jobs = jobs_of(plan(parts, flags, options.only), root)
     if options.dry_run:
         print(_counts(jobs))
     elif options.print:
@@ -39,9 +39,9 @@ def run_sweep(arguments: Sequence[str]) -> None:
     else:
         if options.engine == "slurm":
             check_slurm()
-        with _locked(Path(settings.root)):
-            write_manifest(Path(settings.root) / f"{page.stem}.jsonl", jobs)
-            _work(jobs, Path(settings.root), options)
+        with _locked(root):
+            write_manifest(root / f"{page.stem}.jsonl", jobs)
+            _work(jobs, root, options)
 
 
 def _work(jobs: Sequence[Job], root: Path, options: argparse.Namespace) -> None:
@@ -93,7 +93,9 @@ def _options() -> OptionParser:
     description = "All runs of a page: experiments × methods × target tasks × seeds × overrides. Further options are"
     description += " those of plp fit, and go to every run."
     parser = OptionParser("plp sweep", description=description, allow_abbrev=False)
-    parser.add_argument("--config", required=True, metavar="PAGE", help="page of the sweep, such as sweeps/smoke")
+    parser.add_argument(
+        "--config", required=True, action="append", metavar="PAGE", help="page of the sweep, such as sweeps/smoke"
+    )
     parser.add_argument("--root", help="folder of the run directories, in place of the page's")
     parser.add_argument("--only", default="*", metavar="GLOB", help="runs of these names alone: 'r2r/plp/*/seed_0'")
     parser.add_argument("--dry_run", action="store_true", help="count: what is done, what is shared; run nothing")
