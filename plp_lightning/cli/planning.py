@@ -18,6 +18,7 @@ from datamodules.errors import ConfigError
 from datamodules.plain_yaml import dump_yaml, parse_yaml
 from datamodules.transfer import TransferDataModule
 from plp_lightning.cli.config import BASE, PAGES, find_page, parsed, read
+from plp_lightning.cli.explanation import NEAR
 from plp_lightning.cli.keeping import first_change
 from plp_lightning.cli.layers import read_yaml
 from plp_lightning.runs.directory import RunDirectory
@@ -45,12 +46,23 @@ def read_page(path: Path, root: str | None = None) -> list[SweepPage]:
         ConfigError: If something is wrong with it.
     """
     tree = read_yaml(path)
+    _check_keys(path, tree)
     parts = tree.pop("parts", [{}])
     if not isinstance(parts, list) or not parts or not all(isinstance(part, dict) for part in parts):
         raise ConfigError(f"{path}: parts is {parts!r}; expected a list, each with keys and values: mend it")
+    for part in parts:
+        _check_keys(path, part)
     if inner := next((part for part in parts if "root" in part), None):
         raise ConfigError(f"{path}: a part sets root ({inner['root']!r}); expected one for all: set it beside parts")
     return [_parse_page(tree | part | ({} if root is None else {"root": root})) for part in parts]
+
+
+def _check_keys(path: Path, tree: Mapping[str, Any]) -> None:
+    known = [*SweepPage.__dataclass_fields__, "parts"]
+    if unknown := [key for key in tree if key not in known]:
+        near = difflib.get_close_matches(str(unknown[0]), known, n=1, cutoff=NEAR)
+        hint = f"did you mean {near[0]!r}?" if near else f"expected a sweep's: {', '.join(known)}"
+        raise ConfigError(f"{path}: unknown key {unknown[0]!r}; {hint}")
 
 
 def _parse_page(tree: Mapping[str, Any]) -> SweepPage:

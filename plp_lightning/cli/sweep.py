@@ -16,7 +16,7 @@ from datamodules.errors import ConfigError, UserError
 from plp_lightning.cli.config import find_page
 from plp_lightning.cli.options import OptionParser, not_negative, positive
 from plp_lightning.cli.planning import plan, read_page
-from plp_lightning.sweeps.local import LocalEngine, places
+from plp_lightning.sweeps.local import Engine, LocalEngine, places
 from plp_lightning.sweeps.manifest import Job, write_manifest
 from plp_lightning.sweeps.sharing import jobs_of
 from plp_lightning.sweeps.slurm import SlurmEngine, check_slurm
@@ -30,6 +30,8 @@ def run_sweep(arguments: Sequence[str]) -> None:
         raise ConfigError(f"--config is given {len(options.config)} times; expected one page of a sweep: name one")
     page = find_page(options.config[0])
     parts = read_page(page, options.root)
+    if not parts[0].root:
+        raise ConfigError("root is empty; expected a folder for run directories: name one or leave it away")
     root = Path(parts[0].root)
     jobs = jobs_of(plan(parts, flags, options.only), root)
     if options.dry_run:
@@ -37,22 +39,25 @@ def run_sweep(arguments: Sequence[str]) -> None:
     elif options.print:
         print("\n".join(shlex.join(["plp", *job.next_words()]) for job in jobs if job.state() != "done"))
     else:
-        if options.engine == "slurm":
-            check_slurm()
+        work = _local(jobs, options) if options.engine == "local" else _slurm(jobs, root, options)
         with _locked(root):
             write_manifest(root / f"{page.stem}.jsonl", jobs)
-            _work(jobs, root, options)
+            _work(jobs, root, work)
 
 
-def _work(jobs: Sequence[Job], root: Path, options: argparse.Namespace) -> None:
-    """Run all jobs; a :class:`UserError` says how many failed."""
-    here = places(options.jobs, options.per_gpu) if options.engine == "local" else []
-    with SweepProgress(jobs, len(here) or len(jobs)) as progress:
-        if options.engine == "local":
-            LocalEngine(jobs, here, options.retries, progress).run()
-        else:
-            passed = _passed_on(options.slurm)
-            SlurmEngine(jobs, root / ".slurm", passed, options.per_job, options.retries, progress).run()
+def _local(jobs: Sequence[Job], options: argparse.Namespace) -> Engine:
+    return LocalEngine(jobs, places(options.jobs, options.per_gpu), options.retries)
+
+
+def _slurm(jobs: Sequence[Job], root: Path, options: argparse.Namespace) -> Engine:
+    check_slurm()
+    return SlurmEngine(jobs, root / ".slurm", _passed_on(options.slurm), options.per_job, options.retries)
+
+
+def _work(jobs: Sequence[Job], root: Path, engine: Engine) -> None:
+    """Run all jobs; a :class:`UserError` says how many are not done."""
+    with SweepProgress(jobs, engine.at_a_time) as progress:
+        engine.run(progress)
     print(f"{progress.summary()}; runs are in {root}", file=sys.stderr)
     if lost := [name for name, state in progress.states.items() if state != "done"]:
         found = f"{len(lost)} of {len(jobs)} are not done, the first is {lost[0]}: {progress.reasons[lost[0]]}"
@@ -72,7 +77,7 @@ def _counts(jobs: Sequence[Job]) -> str:
 
 def _passed_on(words: Sequence[str]) -> dict[str, str | int]:
     pairs = [word.partition("=") for word in words]
-    if wrong := next((name for name, joint, value in pairs if not joint or not value), None):
+    if wrong := next((word for word, pair in zip(words, pairs, strict=True) if not all(pair)), None):
         raise ConfigError(f"--slurm {wrong}: expected NAME=VALUE, such as partition=gpu time=240 mem=8G")
     return {name: int(value) if value.isdecimal() else value for name, _, value in pairs}
 

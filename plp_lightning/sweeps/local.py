@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import time
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
@@ -18,7 +19,17 @@ TICK = 0.2  # s between two looks at the processes
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 
-class LocalEngine:
+class Engine(ABC):
+    """Works on jobs."""
+
+    at_a_time: int  # Jobs that it works on at a time, as far as that is known
+
+    @abstractmethod
+    def run(self, progress: SweepProgress) -> None:
+        """Work until every job is done, has failed, or waits for one that has; ``progress`` hears of all of it."""
+
+
+class LocalEngine(Engine):
     """Runs jobs in processes of this machine.
 
     They end with this process, whatever ends it. Whatever is raised in :meth:`run`, such as a signal, stops them first.
@@ -27,15 +38,12 @@ class LocalEngine:
         jobs: The jobs.
         places: Variables of the environment of each place; one job runs in a place at a time.
         retries: Further attempts of a job that fails.
-        progress: Hears of all that happens.
     """
 
-    def __init__(
-        self, jobs: Sequence[Job], places: Sequence[Mapping[str, str]], retries: int, progress: SweepProgress
-    ) -> None:
-        self.jobs, self.progress, self.retries = {job.name: job for job in jobs}, progress, retries
+    def __init__(self, jobs: Sequence[Job], places: Sequence[Mapping[str, str]], retries: int) -> None:
+        self.jobs, self.retries = {job.name: job for job in jobs}, retries
         self.free, self.running = list(places), list[tuple[JobProcess, Mapping[str, str]]]()
-        self.attempts = Counter[str]()
+        self.at_a_time, self.attempts = len(places), Counter[str]()
         self.largest = 0  # Bytes that the largest process so far has taken
 
     @property
@@ -43,8 +51,8 @@ class LocalEngine:
         """Jobs that have not begun, in order."""
         return [job for name, job in self.jobs.items() if self.progress.states[name] == "waiting"]
 
-    def run(self) -> None:
-        """Work until every job is done, has failed, or waits for one that has."""
+    def run(self, progress: SweepProgress) -> None:
+        self.progress = progress
         try:
             while self.waiting or self.running:
                 self._end_what_is_over()

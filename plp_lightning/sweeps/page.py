@@ -39,7 +39,7 @@ class SweepPage:
 
     experiments: list[str | list[str]]
     methods: list[str] | dict[str, list[str]] = field(default_factory=lambda: ["plp"])
-    targets: list[str] | dict[str, list[str]] = field(default_factory=list)
+    targets: list[str] | dict[str, list[str]] | None = None
     seeds: list[Seed] | dict[str, list[Seed]] = field(default_factory=lambda: [0])
     overrides: dict[str, dict[str, Any] | None] = field(default_factory=lambda: {"none": None})
     root: str = "runs"
@@ -66,13 +66,15 @@ def variants(page: SweepPage, find: Callable[[str, str], tuple[str, str]], flags
     Raises:
         ConfigError: If a list is empty, names something twice, or names what is not there.
     """
-    labels = {pages if isinstance(pages, str) else pages[-1]: pages for pages in page.experiments if pages}
+    if not all(page.experiments):
+        raise ConfigError("experiments holds an empty list; expected pages that are laid over one another: name some")
+    labels = {pages if isinstance(pages, str) else pages[-1]: pages for pages in page.experiments}
     _check_list("experiments", [pages if isinstance(pages, str) else "+".join(pages) for pages in page.experiments])
     _check_list("overrides", list(page.overrides))
     for label, pages in labels.items():
         below = [find("experiments", name)[0] for name in ([pages] if isinstance(pages, str) else pages)]
         seeds = _of(page.seeds, label, labels, [0], "seeds")
-        targets = _of(page.targets, label, labels, [], "targets") if page.targets else []
+        targets = _of(page.targets, label, labels, [], "targets") if page.targets is not None else []
         for overlay in _of(page.methods, label, labels, ["plp"], "methods"):
             word, method = find("methods", overlay)
             for name, settings in page.overrides.items():
@@ -112,8 +114,11 @@ def _override(name: str, settings: Mapping[str, Any], method: str) -> list[str]:
     for key in settings:
         if key in OWN:
             raise ConfigError(f"overrides.{name} sets {key}, which comes from {OWN[key]}; leave it away")
-    pages = settings.get("config", [])
-    words = _configs([pages] if isinstance(pages, str) else pages)
+    given = settings.get("config", [])
+    pages = [given] if isinstance(given, str) else given
+    if not isinstance(pages, list) or not all(isinstance(item, str) for item in pages):
+        raise ConfigError(f"overrides.{name}.config is {given!r}; expected a page or a list of pages: mend it")
+    words = _configs(pages)
     words += [f"--{key}={_word(value)}" for key, value in settings.items() if key != "config"]
     return [*words, f"--method={method}_{name}"]
 

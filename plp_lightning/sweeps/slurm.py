@@ -17,7 +17,7 @@ from typing import Any
 
 from datamodules.errors import ConfigError, UserError
 from datamodules.store.atomic import write_atomically
-from plp_lightning.sweeps.local import LocalEngine, places_side_by_side
+from plp_lightning.sweeps.local import Engine, LocalEngine, places_side_by_side
 from plp_lightning.sweeps.manifest import Job, stages
 from plp_lightning.sweeps.processes import last_words
 from plp_lightning.sweeps.table import SweepProgress
@@ -52,8 +52,8 @@ class Pack:
             UserError: If one fails.
         """
         with SweepProgress(self.jobs, len(self.jobs)) as progress:
-            self.engine = LocalEngine(self.jobs, places_side_by_side(len(self.jobs)), 0, progress)
-            self.engine.run()
+            self.engine = LocalEngine(self.jobs, places_side_by_side(len(self.jobs)), 0)
+            self.engine.run(progress)
         if failed := [name for name, state in progress.states.items() if state != "done"]:
             raise UserError(f"{failed[0]}: {progress.reasons[failed[0]]}")
 
@@ -63,7 +63,7 @@ class Pack:
         return importlib.import_module("submitit").helpers.DelayedSubmission(Pack(self.jobs))
 
 
-class SlurmEngine:
+class SlurmEngine(Engine):
     """Submits jobs, waits until none is queued, and submits those that failed again.
 
     Jobs outlive this process; the next one waits for those that are queued still.
@@ -74,7 +74,6 @@ class SlurmEngine:
         options: Parameters of submitit's executor by name, such as partition, time (min) and mem.
         per_job: Runs in a job of SLURM.
         retries: Further attempts of a job that fails.
-        progress: Hears of all that happens.
     """
 
     def __init__(
@@ -84,16 +83,15 @@ class SlurmEngine:
         options: Mapping[str, str | int],
         per_job: int,
         retries: int,
-        progress: SweepProgress,
     ) -> None:
         self.jobs, self.folder, self.per_job = list(jobs), folder.absolute(), per_job
         self.options = {**DEFAULTS, "cpus_per_task": per_job, **options}
-        self.retries, self.progress = retries, progress
+        self.retries, self.at_a_time = retries, len(jobs)
         self.queued = self.folder / "queued.json"
         self.collections = dict[str, Any]()  # submitit's jobs, by the name of a collection
 
-    def run(self) -> None:
-        """Work until every job is done or has failed."""
+    def run(self, progress: SweepProgress) -> None:
+        self.progress = progress
         self._wait()  # for those of an earlier sweep
         for attempt in range(self.retries + 1):
             self._submit()
