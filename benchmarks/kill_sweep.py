@@ -40,6 +40,9 @@ def main() -> None:
         print(f"unbroken: {seconds:.0f} s; the rest of the killed one: {sweep(broken):.0f} s")
         expected, found = results(whole), results(broken)
     same = [name for name in expected if found.get(name) == expected[name]]
+    for name in expected.keys() - {*same}:
+        differs = [key for key, value in expected[name].items() if found.get(name, {}).get(key) != value]
+        print(f"{name}: differs in {', '.join(differs)}")
     print(f"{len(same)} of {len(expected)} results are the same")
     sys.exit(same != [*expected])
 
