@@ -57,6 +57,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"plp_lightning.evaluation.bootstrap", "plp_lightning.evaluation.statistics", "plp_lightning.runs.curves"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
     | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"},
+    "plp_lightning.sweeps": {
+        *("datamodules.errors", "datamodules.settings", "datamodules.words", "datamodules.store.atomic"),
+        "plp_lightning.runs.directory",
+    },
     "plp_lightning.cli.main": {
         "datamodules.errors",
         "datamodules.words",
@@ -76,6 +80,9 @@ LIGHT = (
     "plp_lightning.cli.report",
     "datamodules.store.writer",
     "plp_lightning.runs.collection",
+    "plp_lightning.sweeps.local",
+    "plp_lightning.sweeps.slurm",
+    "plp_lightning.sweeps.page",
 )
 SIMULATORS = {"mujoco", "robosuite", "gymnasium", "gymnasium_robotics", "metaworld"}
 NO_SIMULATOR = ("datamodules", "plp_lightning.losses", "plp_lightning.networks", METHODS)

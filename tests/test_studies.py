@@ -1,10 +1,9 @@
-"""Studies are overrides: every command of docs/studies.md is read, and a small one is run."""
+"""Studies are overrides in pages of sweeps, which docs/studies.md lists; a small one is run."""
 
 from __future__ import annotations
 
 import json
 import re
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,26 +13,10 @@ from command import ROOT, TINY, complaint, plp
 from test_configs import invent_demonstrations
 
 from plp_lightning.cli.config import parse
+from plp_lightning.cli.planning import find_word, plan, read_page
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.synthetic import LinearPoint
-
-DOCUMENT = (ROOT / "docs" / "studies.md").read_text()
-BLOCKS = re.findall(r"```bash\n(.*?)```", DOCUMENT, re.DOTALL)
-
-
-def commands() -> dict[str, list[str]]:
-    """Arguments of each ``plp fit`` of the document, by what tells it from the others."""
-    aliases = dict(re.findall(r"alias (\w+)='plp fit (.*)'", DOCUMENT)) | {"plp fit": ""}
-    found = {}
-    for line in "".join(BLOCKS).splitlines():
-        begin = next((name for name in aliases if line.startswith(f"{name} ")), None)
-        if begin is not None:
-            rest = line.removeprefix(begin)
-            found[rest.strip()] = shlex.split(f"{aliases[begin]} {rest}")
-    return found
-
-
-COMMANDS = commands()
+from plp_lightning.sweeps.page import SweepPage, variants
 
 
 def absolute(words: list[str]) -> list[str]:
@@ -43,7 +26,7 @@ def absolute(words: list[str]) -> list[str]:
 
 def numbers(words: list[str]) -> tuple[str, str, Mapping[str, int]]:
     """Experiment, method, and how many proxy demonstrations each domain brings."""
-    experiment = parse(absolute(words))
+    experiment = parse(words)
     batch_spec = experiment.data.needed()
     proxy_tasks = experiment.data.proxy_tasks
     return (
@@ -53,22 +36,31 @@ def numbers(words: list[str]) -> tuple[str, str, Mapping[str, int]]:
     )
 
 
-def test_every_documented_row_has_a_run_directory_of_its_own() -> None:
-    assert len(COMMANDS) == 28
-    paths = {parse(absolute(words)).run_path for words in COMMANDS.values()}
-    assert len(paths) == len(COMMANDS)
-
-
 def test_sources_share_a_fixed_number_or_bring_as_many_each() -> None:
-    rows = [numbers(words) for words in COMMANDS.values() if "p2p_medium_sources" in " ".join(words)]
+    runs = plan(read_page(ROOT / "configs" / "sweeps" / "figure9.yaml"), [], "p2p_*/seed_0")
+    rows = [numbers(run.words[1:]) for run in runs]
     assert len(rows) == 7
     for name, method, found in rows:
-        count = int(name.rsplit("_", 1)[1])
+        count = int(name.rsplit("_", 1)[1]) if "sources" in name else 1
         sources = [n for domain, n in found.items() if domain != "point"]
         assert found["point"] == 1200
         assert len(sources) == count
         assert len({*sources}) == 1
         assert sum(sources) == (1200 if method == "plp_t_fixed" else 1200 * count)
+
+
+def test_the_table_of_studies_has_every_page_with_its_runs() -> None:
+    told = (ROOT / "docs" / "studies.md").read_text()
+    rows = {name: int(count) for name, count in re.findall(r"^\| `(\w+)\.yaml` \|.*\| (\d+) \|$", told, re.MULTILINE)}
+    pages = {page.stem: read_page(page) for page in (ROOT / "configs" / "sweeps").glob("*.yaml")}
+    found = {name: sum(map(runs, parts)) for name, parts in pages.items() if name != "smoke"}
+    assert found == rows
+
+
+def runs(part: SweepPage) -> int:
+    """Runs of a part of a sweep's page."""
+    every = variants(part, find_word, [])
+    return sum(max(1, len(variant.targets)) * len(variant.seeds) for variant in every)
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "configs" / "studies").glob("*_sources_*.yaml")), ids=lambda p: p.stem)
