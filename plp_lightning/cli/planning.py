@@ -23,6 +23,7 @@ from plp_lightning.cli.keeping import first_change
 from plp_lightning.cli.layers import read_yaml
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.rehearsal import check_method
 from plp_lightning.runs.roles import find_roles
 from plp_lightning.runs.settings import PLACES, config_hash
 from plp_lightning.sweeps.page import OWN, SweepPage, Variant, variants
@@ -150,6 +151,7 @@ def _data(template: Experiment, target: str) -> TransferDataModule:
 
 def _phases_that_read_targets(template: Experiment) -> list[str]:
     """Phases whose batches hold demonstrations of the target task; all of them where callbacks may look at it."""
+    check_method(template)
     policy = template.method.policy(template.unscaled_problem)
     steps = {name: build(policy).batch_spec.steps for name, build in template.method.phases.items()}
     return [name for name in steps if steps[name] in ("all", "mix") or template.callbacks]

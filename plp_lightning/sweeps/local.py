@@ -84,10 +84,11 @@ class LocalEngine(Engine):
             self.progress.set(name, state, f"exit code {code}, {last_words(process.log)}; its log: {process.log}")
 
     def _begin_what_may(self) -> None:
+        phases: dict[str, list[str]] = {}  # as they are now
         for job in self.waiting:
             if not self.free or (self.running and free_bytes() < self.largest):
                 break
-            lacking = unmet(job, self.jobs, self.progress.states)
+            lacking = unmet(job, self.jobs, self.progress.states, phases)
             if not lacking:
                 self._begin(job)
             elif lost := [name for name in lacking if self.progress.states[name] in ("failed", "blocked")]:

@@ -43,10 +43,10 @@ class Job:
         trusted = [word for word in self.words if word.startswith("--allow_imports=")]
         return ["fit", "--resume", str(self.directory), *trusted]
 
-    def has_done(self, phase: str) -> bool:
-        """Whether a phase of the run is done."""
+    def done_phases(self) -> list[str]:
+        """Phases of the run that are done."""
         run = self.run
-        return run is not None and phase in run.done_phases()
+        return [] if run is None else run.done_phases()
 
 
 def write_manifest(path: Path, jobs: Iterable[Job]) -> None:
@@ -63,10 +63,9 @@ def stages(jobs: Sequence[Job]) -> list[list[Job]]:
     return [[job for job in jobs if depth[job.name] == n] for n in range(max(depth.values(), default=-1) + 1)]
 
 
-def unmet(job: Job, jobs: Mapping[str, Job], states: Mapping[str, str]) -> list[str]:
-    """Names of the jobs that a job still waits for."""
-    return [
-        name
-        for name, phase in job.after.items()
-        if states[name] != "done" and not (phase is not None and jobs[name].has_done(phase))
-    ]
+def unmet(job: Job, jobs: Mapping[str, Job], states: Mapping[str, str], phases: dict[str, list[str]]) -> list[str]:
+    """Names of the jobs that a job still waits for; ``phases`` keeps what their records say is done."""
+    waiting = {name: phase for name, phase in job.after.items() if states[name] != "done"}
+    for name in waiting.keys() - phases.keys():
+        phases[name] = jobs[name].done_phases()
+    return [name for name, phase in waiting.items() if phase not in phases[name]]

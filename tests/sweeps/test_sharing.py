@@ -58,5 +58,7 @@ def test_each_need_of_a_file_is_collected_once_in_turn() -> None:
 def test_a_job_waits_until_what_it_comes_after_is_done() -> None:
     found = jobs(run("x", "1", "12", "123"), run("y", "1", "12", "124"))
     states = dict.fromkeys(found, "waiting")
-    assert unmet(found["y"], found, states) == ["collect a", "x"]
-    assert unmet(found["y"], found, states | {"collect a": "done", "x": "done"}) == []
+    assert unmet(found["y"], found, states, {}) == ["collect a", "x"]
+    assert unmet(found["y"], found, states | {"collect a": "done"}, {"x": ["alignment"]}) == ["x"]
+    assert unmet(found["y"], found, states | {"collect a": "done"}, {"x": ["alignment", "dynamics"]}) == []
+    assert unmet(found["y"], found, states | {"collect a": "done", "x": "done"}, {}) == []
