@@ -95,6 +95,10 @@ def test_mistakes_are_told_in_one_line(arguments: list[str], told: str) -> None:
     ("extra", "told"),
     [
         (["--phase", "alignmnt"], "the phases of method 'plp' are alignment, adaptation"),
+        (["--phase", "adaptation,alignment"], "name some that follow one another"),
+        (["--phase", "alignment,alignment"], "name some that follow one another"),
+        (["--phase", "alignment,"], "--phase is ''; the phases of method 'plp' are alignment, adaptation"),
+        (["--phase", "alignment,adaptation", "--from", "absent"], "stands in for the phases before --phase"),
         (["--phase", "adaptation"], "name the run that holds it with --from RUN_DIR"),
         (["--from", "absent"], "stands in for the phases before --phase"),
         (["--phase", "alignment", "--from", "absent"], "stands in for the phases before --phase"),

@@ -78,7 +78,7 @@ def test_a_sweep_that_is_killed_goes_on_to_the_same_results(tmp_path: Path) -> N
     assert again.returncode == 0, told
     assert "4 done of 4" in told  # collections are jobs as well
     lines = (tmp_path / "runs" / "page.jsonl").read_text().splitlines()
-    assert [json.loads(line)["name"].split("/")[-2] for line in lines][-2:] == ["goal_3", "goal_6"]
+    assert [json.loads(line)["name"].split("/")[-2] for line in lines[-2:]] == ["goal_3", "goal_6"]
     for target in ("goal_3", "goal_6"):
         settings = ["--data.target_task", target, "--data.proxy_tasks", PROXIES]
         assert plp("fit", *tiny_smoke(tmp_path / "alone"), *settings).code == 0
@@ -90,15 +90,14 @@ def test_a_sweep_that_is_killed_goes_on_to_the_same_results(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_sweep_that_is_asked_to_stop_lets_its_runs_save(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_sweep_that_is_asked_to_stop_lets_its_runs_save(tmp_path: Path) -> None:
     first = run_of(tmp_path, "goal_3")
     stopped = start(command(tmp_path, "--alignment.epochs", "2000"))
     wait_for(first.checkpoint("alignment").exists)
-    stopped.send_signal(number)
+    stopped.send_signal(signal.SIGINT)
     told = stopped.communicate(timeout=60)[1]
-    assert stopped.returncode == 128 + number
-    assert f"stopped by {number.name}; go on with the same command" in told
+    assert stopped.returncode == 128 + signal.SIGINT
+    assert "stopped by SIGINT; go on with the same command" in told
     assert not processes_of(tmp_path)
     assert first.status()["state"] == "preempted"
 
