@@ -52,10 +52,12 @@ def read_page(path: Path, root: str | None = None) -> list[SweepPage]:
     if not isinstance(parts, list) or not parts or not all(isinstance(part, dict) for part in parts):
         raise ConfigError(f"{path}: parts is {parts!r}; expected a list, each with keys and values: mend it")
     for part in parts:
-        _check_keys(path, part)
+        _check_keys(path, {f"parts.{key}" if key == "parts" else key: part[key] for key in part})
     if inner := next((part for part in parts if "root" in part), None):
         raise ConfigError(f"{path}: a part sets root ({inner['root']!r}); expected one for all: set it beside parts")
-    return [_parse_page(tree | part | ({} if root is None else {"root": root})) for part in parts]
+    whole = {} if root is None else {"root": root}
+    laid = [tree | part | whole for part in parts]
+    return [_parse_page({key: value for key, value in part.items() if value is not None}) for part in laid]
 
 
 def _check_keys(path: Path, tree: Mapping[str, Any]) -> None:
@@ -116,7 +118,7 @@ def _check_flags(flags: Sequence[str]) -> None:
     for word in flags:
         key = word.partition("=")[0].removeprefix("--")
         if key in OWN:
-            raise ConfigError(f"--{key} comes from {OWN[key]} of the sweep's page; set it there")
+            raise ConfigError(f"--{key} comes from {OWN[key]}; leave it away")
 
 
 def _runs(variant: Variant, root: str) -> Iterator[PlannedRun]:

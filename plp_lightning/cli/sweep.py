@@ -69,7 +69,9 @@ def _counts(jobs: Sequence[Job]) -> str:
     runs = [job for job in jobs if job.directory is not None]
     states = Counter(job.state() for job in runs)
     lines = [f"{len(runs)} runs: {states['done']} done, {states['begun']} begun, {states['new']} to begin"]
-    lines += [f"{job.name}: {'complete' if job.state() == 'done' else 'first'}" for job in jobs if job not in runs]
+    lines += [
+        f"{job.name}: {'complete' if job.state() == 'done' else 'first'}" for job in jobs if job.directory is None
+    ]
     for job in runs:
         lines += [f"{job.name}: {phase} of {name}" for name, phase in job.after.items() if phase is not None]
     return "\n".join(lines)

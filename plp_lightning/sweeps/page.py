@@ -3,19 +3,22 @@
 # No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 import difflib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
 from datamodules.errors import ConfigError
 from datamodules.settings import Seed
 
-T = TypeVar("T")
+T = TypeVar("T", bound=Hashable)
 OWN = {
-    "seed": "seeds",
-    "data.target_task": "targets",
-    "run_root": "root",
+    "seed": "seeds of the sweep's page",
+    "data.target_task": "targets of the sweep's page",
+    "run_root": "root of the sweep's page",
     "method": "the override's name",
+    **dict.fromkeys(("phase", "from"), "what runs have in common"),
+    **dict.fromkeys(("resume", "print_config"), "plp fit alone"),
 }
 """Settings that a sweep gives to its runs, and what they come from."""
 
@@ -100,12 +103,12 @@ def _of(
     return found
 
 
-def _check_list(place: str, found: Sequence[object]) -> None:
+def _check_list(place: str, found: Sequence[Hashable]) -> None:
     if not found:
         raise ConfigError(f"{place} is empty; expected at least one: name some or leave it away")
-    twice = [item for i, item in enumerate(found) if item in found[:i]]
-    if twice:
-        raise ConfigError(f"{place} names {twice[0]!r} twice; expected each once: leave one away")
+    if len({*found}) < len(found):
+        twice = Counter(found).most_common(1)[0][0]
+        raise ConfigError(f"{place} names {twice!r} twice; expected each once: leave one away")
 
 
 def _override(name: str, settings: Mapping[str, Any], method: str) -> list[str]:

@@ -55,6 +55,10 @@ def page(folder: Path, **changes: Any) -> Path:
         ({"parts": [{"root": "x"}]}, "a part sets root"),
         ({"parts": [{}, {"seeds": [0]}]}, "two runs share this directory"),
         ({"root": ""}, "root is empty"),
+        ({"experiments": None}, "experiments not set"),
+        ({"experiments": "smoke"}, "experiments is smoke; expected list"),
+        ({"overrides": {"a": {"phase": "alignment"}}}, "sets phase, which comes from what runs have in common"),
+        ({"parts": [{"parts": []}]}, "unknown key 'parts.parts'"),
     ],
 )
 def test_a_page_that_is_wrong_is_refused(changes: dict[str, Any], told: str, tmp_path: Path) -> None:
@@ -70,6 +74,8 @@ def test_a_page_that_is_wrong_is_refused(changes: dict[str, Any], told: str, tmp
         (["--seed", "3"], "--seed comes from seeds of the sweep's page"),
         (["--data.target_task=goal_1"], "--data.target_task comes from targets"),
         (["--run_root", "x"], "--run_root comes from root"),
+        (["--phase", "alignment"], "--phase comes from what runs have in common; leave it away"),
+        (["--print_config"], "--print_config comes from plp fit alone; leave it away"),
         (["--jobs", "0"], "found '0'; expected a whole number of at least 1"),
         (["--retries", "-1"], "expected"),
         (["--engine", "pbs"], "invalid choice: 'pbs'"),
@@ -81,6 +87,12 @@ def test_a_page_that_is_wrong_is_refused(changes: dict[str, Any], told: str, tmp
 def test_options_that_are_wrong_are_refused(flags: list[str], told: str, tmp_path: Path) -> None:
     assert told in complaint("sweep", "--config", page(tmp_path), *flags)
     assert not (tmp_path / "runs").exists()
+
+
+def test_what_is_null_has_its_default(tmp_path: Path) -> None:
+    nothing = dict.fromkeys(("methods", "targets", "seeds", "overrides"))
+    told = plp("sweep", "--config", page(tmp_path, **nothing), "--dry_run")
+    assert "1 runs: 0 done, 0 begun, 1 to begin" in told.out
 
 
 def test_an_experiment_is_no_sweep() -> None:
