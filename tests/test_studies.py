@@ -41,7 +41,7 @@ def test_sources_share_a_fixed_number_or_bring_as_many_each() -> None:
     rows = [numbers(run.words[1:]) for run in runs]
     assert len(rows) == 7
     for name, method, found in rows:
-        count = int(name.rsplit("_", 1)[1]) if "sources" in name else 1
+        count = int(name.rsplit("_", 1)[1])
         sources = [n for domain, n in found.items() if domain != "point"]
         assert found["point"] == 1200
         assert len(sources) == count

@@ -20,7 +20,7 @@ from datamodules.transfer import TransferDataModule
 from plp_lightning.cli.config import BASE, PAGES, find_page, parsed, read
 from plp_lightning.cli.explanation import NEAR
 from plp_lightning.cli.keeping import first_change
-from plp_lightning.cli.layers import read_yaml
+from plp_lightning.cli.yaml_files import read_yaml
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.rehearsal import check_method
