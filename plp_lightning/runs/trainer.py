@@ -55,8 +55,6 @@ NOT_FOR_US = (
     r"The `srun` command is available on your system but is not used",
     # Who asks for the processor means it.
     r"GPU available but not used",
-    # A run is a run of its own on a machine that submits jobs too.
-    r"The `srun` command is available on your system but is not used",
     # Lightning 2.6 uses a name that newer torch deprecates.
     r".*isinstance\(treespec, LeafSpec\)",
 )
