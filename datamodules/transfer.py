@@ -15,6 +15,7 @@ from lightning.pytorch import LightningDataModule
 
 from datamodules.amounts import COLLECTED, COLLECTED_TARGET, Batching, Demonstrations
 from datamodules.batches.dataset import DomainDataset, build_dataset, check_values
+from datamodules.batches.fixed import FixedLoader, Selection, fits
 from datamodules.batches.images import Images, stored_images
 from datamodules.batches.loader import FixedBatches, FixedPairs, Loader, Order, PairSource
 from datamodules.batches.normalization import Statistics
@@ -65,7 +66,7 @@ class TransferDataModule(LightningDataModule):
         self.target_task, self.target_tasks = roles.target_task, roles.target_tasks
         self.demonstrations, self.batching, self.val_fraction = demonstrations, batching, demonstrations.val_fraction
         self.collected = 0  # Demonstrations that :meth:`prepare_data` made here
-        self._loader: Loader | None = None
+        self._loader: Loader | FixedLoader | None = None
         self._cursor: Mapping[str, int] | None = None
 
     def needed(self) -> dict[str, dict[str, int]]:
@@ -198,12 +199,18 @@ class TransferDataModule(LightningDataModule):
     def loader(self, batch_spec: BatchSpec) -> Loader:
         """Training batches of a phase: steps ``(B, …)``, and pairs of trajectories if it asks for them."""
         datasets = self._tables(batch_spec)
-        stride = self.batching.stride if batch_spec.pairs == "thinned" else 1
+        return Loader(datasets, self._order(batch_spec), self._pairs(batch_spec, datasets), batch_spec)
+
+    def fixed_loader(self, batch_spec: BatchSpec, device: torch.device) -> FixedLoader:
+        """The same batches in fixed shapes, from tables ``(N, …)`` on a device."""
+        datasets = {domain: dataset.to(device) for domain, dataset in self._tables(batch_spec).items()}
+        return FixedLoader(datasets, self._order(batch_spec), self._pairs(batch_spec, datasets), batch_spec)
+
+    def _pairs(self, batch_spec: BatchSpec, datasets: Mapping[str, DomainDataset]) -> PairSource | None:
         if batch_spec.pairs == "none":
-            return Loader(datasets, self._order(batch_spec), None, batch_spec)
-        episodes = {domain: self.episodes_by_task(domain) for domain in self.domains}
-        pairs = PairSource(datasets, PairOrder(episodes, self.batching.pairs, self.seed), stride)
-        return Loader(datasets, self._order(batch_spec), pairs, batch_spec)
+            return None
+        order = PairOrder({d: self.episodes_by_task(d) for d in self.domains}, self.batching.pairs, self.seed)
+        return PairSource(datasets, order, self.batching.stride if batch_spec.pairs == "thinned" else 1)
 
     def _order(self, batch_spec: BatchSpec) -> Order:
         least = self.batching.epoch_steps
@@ -236,8 +243,8 @@ class TransferDataModule(LightningDataModule):
         task = self.datasets[domain].episode_task[found]
         return {int(index): found[task == index] for index in np.unique(task)}
 
-    def train_dataloader(self) -> Loader:
-        self._loader, cursor, self._cursor = self.loader(self._phase_spec()), self._cursor, None
+    def train_dataloader(self) -> Loader | FixedLoader:
+        self._loader, cursor, self._cursor = self._phase_loader(self._phase_spec()), self._cursor, None
         if self.trainer is not None:  # an epoch that it cuts short is over, and the next one begins anew
             limit = self.trainer.limit_train_batches
             steps = int(limit * len(self._loader)) if isinstance(limit, float) else limit
@@ -245,6 +252,11 @@ class TransferDataModule(LightningDataModule):
         if cursor is not None:
             self._loader.load_state_dict(cursor)
         return self._loader
+
+    def _phase_loader(self, batch_spec: BatchSpec) -> Loader | FixedLoader:
+        device = torch.device("cpu") if self.trainer is None else self.trainer.strategy.root_device
+        fixed = device.type == "cuda" and fits(self._tables(batch_spec), device)
+        return self.fixed_loader(batch_spec, device) if fixed else self.loader(batch_spec)
 
     def val_dataloader(self) -> FixedBatches | FixedPairs:
         batch_spec = self._phase_spec()
@@ -255,7 +267,9 @@ class TransferDataModule(LightningDataModule):
         size = min(dataset.rows_at_a_time(1024) for dataset in datasets.values())
         return FixedBatches(datasets, self.rows(tasks, "val", batch_spec.next_observation), size, batch_spec)
 
-    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
+    def transfer_batch_to_device(self, batch: Batch | Selection, device: torch.device, dataloader_idx: int) -> Batch:
+        if isinstance(batch, Selection):
+            return batch.gather()
         if device.type == "cpu":  # nowhere to move it, so nothing to walk through
             return batch
         return cast("Batch", super().transfer_batch_to_device(batch, device, dataloader_idx))

@@ -167,6 +167,7 @@ class Steps(NamedTuple):
     progress: Tensor | None = None
     """``(B,)`` float32: share of the trajectory that lies behind, 0 at its first step and 1 at its last, if the phase
     asks for it."""
+    weight: Tensor | None = None  # ``(B,)``: 0 for rows that only fill up a batch of fixed shape, 1 for others; None: 1
 
 
 class PackedTrajectories(NamedTuple):

@@ -37,6 +37,11 @@ class StoredObservation:
             return Observation(self.state[rows])
         return Observation(self.state[rows], {name: image[rows] for name, image in self.images.items()})
 
+    def to(self, device: torch.device) -> StoredObservation:
+        """The same on a device, images ``(N + L, H, W, C)`` too, unless they stay in their file."""
+        images = {name: x.to(device) if isinstance(x, Tensor) else x for name, x in self.images.items()}
+        return StoredObservation(self.state.to(device), images)
+
 
 @dataclass(frozen=True)
 class DomainDataset:
@@ -68,7 +73,8 @@ class DomainDataset:
 
     def _known_next(self, rows: Tensor) -> Tensor:
         following = self.next_row[rows]
-        assert (following >= 0).all(), "what is seen next is known of every step that is drawn for it"
+        on_device = following.device.type != "cpu"  # where a look would wait for all that was asked for before
+        assert on_device or (following >= 0).all(), "what is seen next is known of every step that is drawn for it"
         return following
 
     @cached_property
@@ -76,11 +82,17 @@ class DomainDataset:
         """``(N,)`` float32: share of the trajectory that lies behind, 0 at its first step and 1 at its last."""
         length = np.diff(self.offset)
         to_go = torch.from_numpy(np.repeat(self.offset[1:] - 1, length)) - torch.arange(len(self))
-        return 1 - to_go / torch.from_numpy(np.repeat(length - 1, length)).clamp(min=1)
+        behind = 1 - to_go / torch.from_numpy(np.repeat(length - 1, length)).clamp(min=1)
+        return behind.to(self.action.device)
 
     def without_images(self) -> DomainDataset:
         """The same states ``(N + L, O)`` without images: nothing is read from the file for them."""
         return replace(self, observation=replace(self.observation, images=NO_IMAGES))
+
+    def to(self, device: torch.device) -> DomainDataset:
+        """The same with its tensors ``(N, …)`` on a device, to gather batches there."""
+        action, task, next_row = (part.to(device) for part in (self.action, self.task, self.next_row))
+        return replace(self, observation=self.observation.to(device), action=action, task=task, next_row=next_row)
 
     def pieces(self) -> Iterator[Tensor]:
         """All values, one after the other, in pieces ``(n, …)`` that fit into memory."""
@@ -152,7 +164,20 @@ def check_values(path: Path, domain: str, dataset: DomainDataset) -> None:
 
 
 def thin_out(dataset: DomainDataset, episodes: np.ndarray, phase: np.ndarray, stride: int) -> PackedTrajectories:
-    """Keep one of every ``stride`` frames of each trajectory, two frames at the least.
+    """Keep one of every ``stride`` frames of each trajectory, as :func:`thinned_rows` does, and lay them end to end."""
+    rows, mask = thinned_rows(dataset, episodes, phase, stride)
+    # Frames are drawn and encoded end to end, without padding; index then tells where (p, t) stands among them.
+    index = np.where(mask, mask.cumsum().reshape(mask.shape) - 1, 0)
+    kept = torch.from_numpy(rows[mask])
+    return PackedTrajectories(
+        dataset.observation.take(kept), torch.from_numpy(index), torch.from_numpy(mask), dataset.action[kept]
+    )
+
+
+def thinned_rows(
+    dataset: DomainDataset, episodes: np.ndarray, phase: np.ndarray, stride: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows ``(P, T)`` of one of every ``stride`` frames of each trajectory, two frames at the least, and their mask.
 
     Args:
         dataset: The domain's steps.
@@ -168,10 +193,4 @@ def thin_out(dataset: DomainDataset, episodes: np.ndarray, phase: np.ndarray, st
     frames = (length - 1 - first) // stride_of + 1
     t = np.arange(frames.max())
     mask = t < frames[:, None]
-    # Frames are drawn and encoded end to end, without padding; index then tells where (p, t) stands among them.
-    rows = (start + first)[:, None] + t * stride_of[:, None]
-    index = np.where(mask, mask.cumsum().reshape(mask.shape) - 1, 0)
-    kept = torch.from_numpy(rows[mask])
-    return PackedTrajectories(
-        dataset.observation.take(kept), torch.from_numpy(index), torch.from_numpy(mask), dataset.action[kept]
-    )
+    return (start + first)[:, None] + t * stride_of[:, None], mask

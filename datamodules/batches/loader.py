@@ -42,11 +42,11 @@ class PairSource:
         return {domain: thin_out(self.datasets[domain], ids, phase, self.stride) for domain, ids in parts}
 
 
-class Loader:
-    """Gathers each step's batch from datasets in memory.
+class Cursor:
+    """A place in the steps of all epochs, which always points at the next batch to yield.
 
-    The cursor always points at the next batch to yield, so ``state_dict`` taken while a batch is being
-    trained on says where to go on after it. Without a source of pairs, batches hold steps alone.
+    So ``state_dict`` taken while a batch is being trained on says where to go on after it. Without a source of pairs,
+    batches hold steps alone.
     """
 
     def __init__(
@@ -63,16 +63,17 @@ class Loader:
     def __len__(self) -> int:
         return self.order.steps
 
-    def __iter__(self) -> Iterator[Batch]:
-        """The rest of the epoch that the cursor is in."""
+    @property
+    def epoch(self) -> int:
+        """The epoch whose batches come next."""
+        return 0 if self.repeats else self._next_epoch
+
+    def places(self) -> Iterator[int]:
+        """Steps that are left of the epoch that the cursor is in; it moves on before each."""
         now = self._next_epoch
-        epoch = 0 if self.repeats else now
-        rows = self.order.epoch(epoch)[: self.limit]
-        for step in range(self._next_step, len(rows)):
-            last = step + 1 == len(rows)
-            self._next_epoch, self._next_step = (now + 1, 0) if last else (now, step + 1)
-            steps = {domain: _take(self.datasets[domain], r, self.batch_spec) for domain, r in rows[step].items()}
-            yield Batch(steps, self.pairs(epoch, step) if self.pairs else {})
+        for step in range(self._next_step, self.limit):
+            self._next_epoch, self._next_step = (now + 1, 0) if step + 1 == self.limit else (now, step + 1)
+            yield step
 
     def state_dict(self) -> dict[str, int]:
         """Epoch and step of the next batch."""
@@ -81,6 +82,18 @@ class Loader:
     def load_state_dict(self, state: Mapping[str, int]) -> None:
         """Go on where ``state`` was taken."""
         self._next_epoch, self._next_step = state["epoch"], state["step"]
+
+
+class Loader(Cursor):
+    """Gathers each step's batch from datasets in memory."""
+
+    def __iter__(self) -> Iterator[Batch]:
+        """The rest of the epoch that the cursor is in."""
+        epoch = self.epoch
+        rows = self.order.epoch(epoch)
+        for step in self.places():
+            steps = {domain: _take(self.datasets[domain], r, self.batch_spec) for domain, r in rows[step].items()}
+            yield Batch(steps, self.pairs(epoch, step) if self.pairs else {})
 
 
 class FixedBatches:

@@ -10,7 +10,10 @@ from torch import Tensor
 
 
 def behavioural_cloning(
-    prediction: Mapping[str, Tensor], action: Mapping[str, Tensor], reduction: Literal["mean", "sum"] = "mean"
+    prediction: Mapping[str, Tensor],
+    action: Mapping[str, Tensor],
+    reduction: Literal["mean", "sum"] = "mean",
+    weight: Mapping[str, Tensor] | None = None,
 ) -> Tensor:
     r"""Squared distance to the demonstrated action, a scalar, the mean over the samples of all domains.
 
@@ -25,6 +28,7 @@ def behavioural_cloning(
         action: By domain, what the expert did, ``(B_d, A_d)``.
         reduction: Over the action dimensions of a domain: their ``mean``, so that domains weigh alike whatever the
             size of their actions, or their ``sum`` (as printed).
+        weight: By domain, ``(B_d,)``: 0 for samples that don't count, 1 for all others; all count if not given.
 
     Example:
         >>> behavioural_cloning({"point": torch.tensor([[1.0, 2.0]])}, {"point": torch.zeros(1, 2)})
@@ -36,8 +40,10 @@ def behavioural_cloning(
         shape, found = tuple(action[domain].shape), tuple(predicted.shape)
         assert len(shape) == 2, f"expected actions (B, A) in domain {domain!r}, got {shape}"
         assert found == shape, f"expected predictions {shape} in domain {domain!r}, got {found}"
-    errors = [
-        (predicted - action[domain]).square().sum() / (predicted.shape[1] if reduction == "mean" else 1)
-        for domain, predicted in prediction.items()
-    ]
-    return torch.stack(errors).sum() / sum(len(predicted) for predicted in prediction.values())
+    squared = {domain: (predicted - action[domain]).square() for domain, predicted in prediction.items()}
+    if weight is not None:
+        squared = {domain: error * weight[domain][:, None] for domain, error in squared.items()}
+    errors = [error.sum() / (error.shape[1] if reduction == "mean" else 1) for error in squared.values()]
+    if weight is None:
+        return torch.stack(errors).sum() / sum(len(predicted) for predicted in prediction.values())
+    return torch.stack(errors).sum() / torch.stack([weight[domain].sum() for domain in squared]).sum().clamp(min=1)

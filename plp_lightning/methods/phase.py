@@ -45,6 +45,8 @@ class Phase(Configured, LightningModule, Generic[P]):
     """Held-out loss by which the best checkpoint is chosen."""
     policy_acts: ClassVar[bool] = True
     """True if the acting parts are trained when the phase ends; if not, success is not evaluated."""
+    logs_always: bool = False
+    """True while a step is captured: it is logged whenever it is replayed for a logger."""
     bc_reduction: Literal["mean", "sum"] = "mean"
     """Reduction of behavioural cloning over action dimensions, in training; held-out losses are means."""
 
@@ -102,12 +104,13 @@ class Phase(Configured, LightningModule, Generic[P]):
 
     def cloning_loss(self, steps: Mapping[str, Steps], reduction: Literal["mean", "sum"] = "mean") -> Tensor:
         """Scalar distance of the policy's actions to demonstrated ones ``(B_d, A_d)``, all domains together."""
-        return behavioural_cloning(self.predict(steps), {d: s.action for d, s in steps.items()}, reduction)
+        actions = {d: s.action for d, s in steps.items()}
+        return behavioural_cloning(self.predict(steps), actions, reduction, weights_of(steps))
 
     @property
     def logs_now(self) -> bool:
         """True in training steps that loggers write down; in all others nothing is gathered for them."""
-        return (self.trainer.global_step + 1) % int(self.trainer.log_every_n_steps) == 0  # type: ignore[attr-defined]
+        return self.logs_always or (self.trainer.global_step + 1) % int(self.trainer.log_every_n_steps) == 0  # type: ignore[attr-defined]
 
     def log_parts(self, parts: dict[str, Tensor], batch_size: int) -> None:
         """Logs the scalar losses of a training step as ``train/<name>``, if loggers write it down."""
@@ -163,6 +166,12 @@ class CachedStates(Phase[P]):
 def step_count(steps: Mapping[str, Steps]) -> int:
     """Number of steps ``Σ B_d`` in all domains together."""
     return sum(len(s.action) for s in steps.values())
+
+
+def weights_of(steps: Mapping[str, Steps]) -> dict[str, Tensor] | None:
+    """Weights ``(B_d,)`` of the steps, by domain; None if all count."""
+    found = {domain: s.weight for domain, s in steps.items() if s.weight is not None}
+    return found or None
 
 
 def tasks_of(steps: Mapping[str, Steps]) -> dict[str, Tensor]:

@@ -1,7 +1,7 @@
 """NETWORKS: the parts that policies of several methods are put together from, as plain torch modules."""
 
 from plp_lightning.networks.cameras import Vision, build_vision, vision_width
-from plp_lightning.networks.domains import DomainColumns, InputScaler, Sharing, split_by_domain
+from plp_lightning.networks.domains import DomainColumns, InputScaler, Sharing, split_by_domain, take_columns
 from plp_lightning.networks.frozen import with_frozen_parameters
 from plp_lightning.networks.image_encoders import ImageEncoderFactory
 from plp_lightning.networks.perceptrons import ActionDecoder, StateEncoder, TaskNetwork, mlp
@@ -22,6 +22,7 @@ __all__ = [
     "build_vision",
     "mlp",
     "split_by_domain",
+    "take_columns",
     "vision_width",
     "with_frozen_parameters",
 ]

@@ -92,3 +92,18 @@ class DomainColumns:
 def split_by_domain(joined: Tensor, parts: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Takes rows ``(Σ B_d, N)`` apart again: ``(B_d, N)`` by domain, as many as ``parts`` has, in its order."""
     return dict(zip(parts, joined.split([part.shape[0] for part in parts.values()]), strict=True))
+
+
+def take_columns(x: Tensor, columns: Sequence[int]) -> Tensor:
+    """Columns ``(B, n)`` of ``x (B, N)``; no copy if they stand side by side.
+
+    A list as an index would be copied to the device, which waits for it.
+    """
+    runs: list[list[int]] = []
+    for column in columns:
+        if runs and runs[-1][-1] + 1 == column:
+            runs[-1].append(column)
+        else:
+            runs.append([column])
+    parts = [x[:, run[0] : run[-1] + 1] for run in runs] or [x[:, :0]]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datamodules.settings import PositiveInt
-from datamodules.types import Batch, BatchSpec
+from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import weighted_mean
 from plp_lightning.methods.cdil.policy import CdilPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
@@ -193,15 +193,24 @@ class CdilAdaptation(CdilPhase, CachedFeatures[CdilPolicy]):
         if self.policy.source in batch.steps:
             own, seen = batch.steps[self.policy.source], self.imagined
             clone = self.policy.clone(self.states[self.policy.source][own.row], own.task, "source")
-            found["bc_source"] = functional.mse_loss(clone, own.action)
-            lessons.append((seen.state[own.row], seen.action[own.row], own.task, seen.weight[own.row]))
+            found["bc_source"] = _error(clone, own)
+            counted = seen.weight[own.row] if own.weight is None else seen.weight[own.row] * own.weight
+            lessons.append((seen.state[own.row], seen.action[own.row], own.task, counted))
         if self.policy.target in batch.steps:
             own = batch.steps[self.policy.target]
             state = self.states[self.policy.target][own.row]
-            lessons.append((state, own.action, own.task, torch.ones_like(state[:, 0])))
+            counted = torch.ones_like(state[:, 0]) if own.weight is None else own.weight
+            lessons.append((state, own.action, own.task, counted))
         state, action, task, weight = (torch.cat(column) for column in zip(*lessons, strict=True))
         error = (self.policy.clone(state, task, "target") - action).square().mean(-1)
         return {"bc_target": weighted_mean(error, weight), **found}
 
     def held_out_losses(self, batch: Batch) -> dict[str, Tensor]:
         return {"bc_target": self.losses(batch)["bc_target"]}
+
+
+def _error(action: Tensor, steps: Steps) -> Tensor:
+    """Mean squared distance of actions ``(B, A)`` to those of the steps that count."""
+    if steps.weight is None:
+        return functional.mse_loss(action, steps.action)
+    return weighted_mean((action - steps.action).square().mean(-1), steps.weight)

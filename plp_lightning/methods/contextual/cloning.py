@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor
 
+from datamodules.batches.fixed import is_filled
 from datamodules.settings import PositiveInt
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch, BatchSpec
@@ -61,7 +62,8 @@ class ContextualCloning(Phase[ContextualPolicy]):
         shown = last_frames(batch.pairs[self.policy.source.name], most)
         episodes = first_frames(batch.pairs[domain], most)
         action = self.policy(shown, episodes)
-        return behavioural_cloning({domain: action}, {domain: episodes.action}), len(action)
+        counted = {domain: episodes.mask.flatten().float()} if is_filled(episodes) else None
+        return behavioural_cloning({domain: action}, {domain: episodes.action}, weight=counted), len(action)
 
 
 def prompt_episodes(data: TransferDataModule) -> dict[int, int]:

@@ -32,6 +32,9 @@ class Packing:
     def __init__(self, frame: Tensor, mask: Tensor, frames: int) -> None:
         self.mask = mask
         places = torch.arange(mask.numel(), device=mask.device)
+        if frames == mask.numel():  # each place has a frame of its own, in order
+            self.place = places
+            return
         # One more place than there are frames takes what padding would write.
         target = torch.where(mask, frame, frames).flatten()
         self.place = places.new_empty(frames + 1).scatter_(0, target, places)[:frames]

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from datamodules.batches.fixed import is_filled
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
@@ -167,6 +168,9 @@ def last_frames(sequences: PackedTrajectories, most: int) -> PackedTrajectories:
 
 
 def _chosen(sequences: PackedTrajectories, frame: Tensor, mask: Tensor) -> PackedTrajectories:
+    if is_filled(sequences):
+        rows, places = frame.flatten(), torch.arange(frame.numel(), device=frame.device).view_as(frame)
+        return PackedTrajectories(sequences.observation.take(rows), places, mask, sequences.action[rows])
     rows = frame[mask]
     return PackedTrajectories(sequences.observation.take(rows), lay_out(mask), mask, sequences.action[rows])
 

@@ -30,6 +30,7 @@ from plp_lightning.networks import (
     TaskNetwork,
     build_vision,
     split_by_domain,
+    take_columns,
     vision_width,
 )
 
@@ -151,10 +152,8 @@ class PortablePolicy(AligningPolicy):
 
     def _pick(self, observation: Observation[Tensor], domain: str, columns: Mapping[str, list[int]]) -> Tensor:
         """The scaled state's columns for this domain; no copy where there is nothing to leave out."""
-        if not columns[domain]:
-            return observation.state[:, :0]
-        scaled: Tensor = self.scaler(observation.state, domain)
-        return scaled if columns[domain] == [*range(scaled.shape[1])] else scaled[:, columns[domain]]
+        chosen = columns[domain]
+        return take_columns(self.scaler(observation.state, domain) if chosen else observation.state, chosen)
 
 
 def _columns(

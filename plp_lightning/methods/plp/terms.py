@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from datamodules.batches.fixed import by_trajectory
 from datamodules.errors import ConfigError
 from datamodules.settings import Configured, Depth, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import PackedTrajectories, Steps
@@ -119,7 +120,8 @@ class TCC(AlignmentTerm):
 
     def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
         (first, one), (second, other) = ((batch.pair_latent[d], pairs) for d, pairs in batch.pairs.items())
-        loss = tcc(first[one.frame], one.mask, second[other.frame], other.mask, self.similarity)
+        first, second = by_trajectory(one, first), by_trajectory(other, second)
+        loss = tcc(first, one.mask, second, other.mask, self.similarity)
         return {"tcc": (loss, self.weight)}
 
 
@@ -228,8 +230,8 @@ class ImageReconstruction(AlignmentTerm):
     def _decoded(self, decoder: nn.Module, latent: Mapping[View, Tensor]) -> dict[View, Tensor]:
         joined, sizes = torch.cat([*latent.values()]), [len(part) for part in latent.values()]
         numbers = [self.slots[domain][name] * len(self.order) + self.order[domain] for domain, name in latent]
-        place = torch.repeat_interleave(torch.tensor(numbers), torch.tensor(sizes)).to(joined.device)
-        return dict(zip(latent, decoder(joined, place).split(sizes), strict=True))
+        places = [torch.full((size,), n, device=joined.device) for n, size in zip(numbers, sizes, strict=True)]
+        return dict(zip(latent, decoder(joined, torch.cat(places)).split(sizes), strict=True))
 
 
 def _channels(policy: PortablePolicy) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from datamodules.settings import PositiveInt
 from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import step_count, tasks_of
+from plp_lightning.methods.phase import step_count, tasks_of, weights_of
 from plp_lightning.methods.plp.adaptation import Adaptation
 from plp_lightning.methods.plp.alignment import Alignment
 from plp_lightning.methods.plp.terms import TermFactory
@@ -25,7 +25,12 @@ from plp_lightning.methods.state_only.policy import StateOnlyPolicy
 Reduction = Literal["mean", "sum"]
 
 
-def one_step(prediction: Mapping[str, Tensor], outcome: Mapping[str, Tensor], reduction: Reduction = "mean") -> Tensor:
+def one_step(
+    prediction: Mapping[str, Tensor],
+    outcome: Mapping[str, Tensor],
+    reduction: Reduction = "mean",
+    weight: Mapping[str, Tensor] | None = None,
+) -> Tensor:
     r"""Squared distance to the known outcome of a step, a scalar, the mean over the steps of all domains.
 
     .. math::
@@ -40,12 +45,14 @@ def one_step(prediction: Mapping[str, Tensor], outcome: Mapping[str, Tensor], re
         prediction: By domain, ``(B_d, N_d)``.
         outcome: By domain, ``(B_d, N_d)``.
         reduction: Over the N_d numbers: their ``mean``, or their ``sum`` (as printed).
+        weight: By domain, ``(B_d,)``: 0 for steps that don't count, 1 for all others; all count if not given.
 
     Example:
         >>> one_step({"ant": torch.zeros(1, 2)}, {"ant": torch.tensor([[2.0, 0.0]])})
         tensor(2.)
     """
-    return behavioural_cloning(prediction, {domain: found.detach() for domain, found in outcome.items()}, reduction)
+    known = {domain: found.detach() for domain, found in outcome.items()}
+    return behavioural_cloning(prediction, known, reduction, weight)
 
 
 class StateOnlyAlignment(Alignment):
@@ -156,4 +163,5 @@ class StateOnlyAdaptation(Adaptation):
         """L_next, from latent states that are known already."""
         known = {domain: self.before_and_after(domain, s.row) for domain, s in steps.items()}
         latent, after = ({domain: states[i] for domain, states in known.items()} for i in (0, 1))
-        return one_step(self.policy.latent_action(latent, tasks_of(steps)), after, self.next_reduction)
+        foreseen = self.policy.latent_action(latent, tasks_of(steps))
+        return one_step(foreseen, after, self.next_reduction, weights_of(steps))
