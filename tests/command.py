@@ -21,6 +21,7 @@ import torch
 
 from plp_lightning.cli.main import main
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.metrics_file import read_rows
 
 ROOT = Path(__file__).parents[1]
 SMOKE = ["--config", str(ROOT / "configs" / "smoke.yaml")]
@@ -121,6 +122,16 @@ def same(one: Any, other: Any) -> bool:
     if isinstance(one, list | tuple):
         return len(one) == len(other) and all(map(same, one, other))
     return bool(one == other)
+
+
+def trained(run: RunDirectory) -> dict[str, Any]:
+    """All that training has left: last checkpoints of every phase, without their places and times, and its curves."""
+    found = {}
+    for phase in run.done_phases():
+        content = checkpoint(run, phase)
+        found[phase] = [content[key] for key in ("state_dict", "optimizer_states", "lr_schedulers", "loops")]
+        found[phase].append(read_rows(run.phase(phase) / "metrics.csv"))
+    return found
 
 
 def results(run: RunDirectory) -> dict[str, Any]:

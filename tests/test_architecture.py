@@ -55,8 +55,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
     "plp_lightning.report": {"datamodules.errors", "datamodules.words", "plp_lightning.pictures.style"}
     | {"plp_lightning.evaluation.bootstrap", "plp_lightning.evaluation.statistics", "plp_lightning.runs.curves"},
+    "plp_lightning.steps": {"datamodules", METHODS},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
-    | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"},
+    | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"}
+    | {"plp_lightning.steps"},
     "plp_lightning.sweeps": {
         *("datamodules.errors", "datamodules.settings", "datamodules.words", "datamodules.store.atomic"),
         "plp_lightning.runs.directory",

@@ -42,6 +42,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         method=Method(made.method, made.policy, {name: made[name] for name in made.phases}),
         seed=made.seed,
         threads=made.threads,
+        cuda_graphs=made.cuda_graphs,
         run_root=Path(made.run_root),
         domains=made.domains,
         data=_data(made, made.data),

@@ -20,7 +20,7 @@ COUNTED = {"success", "before", "episodes", "invalid", "interval"}
 INDIFFERENT = (
     *("seed", "data.target_task"),  # what is averaged over
     *("run_root", "data.root", "data.file", "data.image_memory", "collection.processes"),
-    *("threads", "trainer.accelerator", "trainer.devices", "trainer.num_nodes"),
+    *("threads", "cuda_graphs", "trainer.accelerator", "trainer.devices", "trainer.num_nodes"),
     *("evaluation", "score", "callbacks", "trainer.profiler", "trainer.log_every_n_steps"),
     *("trainer.enable_model_summary", "trainer.num_sanity_val_steps"),
 )

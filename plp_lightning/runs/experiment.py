@@ -46,6 +46,7 @@ class Experiment:
     method: Method
     seed: int
     threads: int
+    cuda_graphs: bool
     run_root: Path
     domains: Mapping[str, Domain]
     data: TransferDataModule

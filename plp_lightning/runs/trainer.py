@@ -31,6 +31,7 @@ from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.runs.phase_progress import PhaseProgress
 from plp_lightning.runs.resumption import Resumption
 from plp_lightning.runs.stopwatch import Stopwatch
+from plp_lightning.steps.loop import step_quickly
 
 COUNTS = ("log_every_n_steps", "accumulate_grad_batches", "check_val_every_n_epoch")  # Lightning divides by them
 ENDLESS = ("max_steps", "num_sanity_val_steps")  # -1 means all of them
@@ -128,7 +129,9 @@ def build_trainer(
     curves.show_charts()
     callbacks = [*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])]
     callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
-    return _lightning(settings, run.path, [curves, MetricsFile(run.phase(name))], callbacks)
+    trainer = _lightning(settings, run.path, [curves, MetricsFile(run.phase(name))], callbacks)
+    step_quickly(trainer, capture=experiment.cuda_graphs)
+    return trainer
 
 
 def quiet_lightning() -> None:
