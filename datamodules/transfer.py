@@ -24,7 +24,8 @@ from datamodules.errors import MissingTrajectoriesError
 from datamodules.problem import TransferProblem, TransferRoles
 from datamodules.settings import NonNegativeFloat, Seed
 from datamodules.store.atomic import final_path
-from datamodules.store.reader import TrajectoryFile, stored_count, verify_hashes
+from datamodules.store.missing import told_missing
+from datamodules.store.reader import TrajectoryFile, verify_hashes
 from datamodules.store.recorder import join_parts, part_files
 from datamodules.streams import Stream, generator
 from datamodules.types import Batch, BatchSpec, Collector, DomainSpec
@@ -47,6 +48,7 @@ class TransferDataModule(LightningDataModule):
         image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches
             ask for them, and as much of them is kept. The batches are the same.
         collector: Makes missing demonstrations; None if they can only come from the file.
+        fixed_shapes: Give a GPU batches of fixed shapes, from tables that lie there, as CUDA graphs want them.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class TransferDataModule(LightningDataModule):
         seed: Seed = 0,
         image_memory: NonNegativeFloat = 4.0,
         collector: Collector | None = None,
+        fixed_shapes: bool = False,
     ) -> None:
         super().__init__()
         self.path, self.seed, self.image_memory, self.collector = path, seed, image_memory, collector
@@ -65,6 +68,7 @@ class TransferDataModule(LightningDataModule):
         self.tasks, self.proxy_tasks = roles.tasks, roles.proxy_tasks
         self.target_task, self.target_tasks = roles.target_task, roles.target_tasks
         self.demonstrations, self.batching, self.val_fraction = demonstrations, batching, demonstrations.val_fraction
+        self.fixed_shapes = fixed_shapes
         self.collected = 0  # Demonstrations that :meth:`prepare_data` made here
         self._loader: Loader | FixedLoader | None = None
         self._cursor: Mapping[str, int] | None = None
@@ -119,7 +123,7 @@ class TransferDataModule(LightningDataModule):
             join_parts(self.path)
             if missing := self.missing():
                 if self.collector is None:
-                    raise MissingTrajectoriesError(_lack(self.path, missing))
+                    raise MissingTrajectoriesError(told_missing(self.path, missing))
                 self.collector(self.path, missing)
                 self.collected = sum(sum(tasks.values()) for tasks in missing.values())
 
@@ -255,7 +259,7 @@ class TransferDataModule(LightningDataModule):
 
     def _phase_loader(self, batch_spec: BatchSpec) -> Loader | FixedLoader:
         device = torch.device("cpu") if self.trainer is None else self.trainer.strategy.root_device
-        fixed = device.type == "cuda" and fits(self._tables(batch_spec), device)
+        fixed = self.fixed_shapes and device.type == "cuda" and fits(self._tables(batch_spec), device)
         return self.fixed_loader(batch_spec, device) if fixed else self.loader(batch_spec)
 
     def val_dataloader(self) -> FixedBatches | FixedPairs:
@@ -287,14 +291,3 @@ class TransferDataModule(LightningDataModule):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self._cursor = state_dict or None
-
-
-def _lack(path: Path, missing: Mapping[str, Mapping[str, int]]) -> str:
-    domain, tasks = next(iter(missing.items()))
-    task, count = next(iter(tasks.items()))
-    total = sum(sum(t.values()) for t in missing.values())
-    found = f"{total} demonstrations are missing (first: {count} of task {task!r} in domain {domain!r})"
-    there = stored_count(path, domain, task)
-    held = f"of which it holds {there} of {there + count}"
-    remedy = "import them or name another file with --data.file"
-    return f"{path}: {found}, {held}, and the experiment has no simulator and expert to collect them; {remedy}"

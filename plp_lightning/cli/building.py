@@ -79,4 +79,5 @@ def _data(made: Namespace, data: DataSettings) -> TransferDataModule:
     roles = find_roles(made.domains, data, path)
     simulated = all(domain.simulator is not None for domain in made.domains.values())
     collector = ExpertCollector(made.domains, made.collection) if simulated else None
-    return TransferDataModule(path, roles, data, data, made.seed, data.image_memory, collector)
+    memory, fixed_shapes = data.image_memory, made.cuda_graphs
+    return TransferDataModule(path, roles, data, data, made.seed, memory, collector, fixed_shapes)

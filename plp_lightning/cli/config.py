@@ -201,7 +201,7 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     parser.add_argument("--seed", type=Seed, default=0, help="seed of weights, batches and evaluation")
     parser.add_argument("--threads", type=Threads, default=1, help="threads of torch; simulators use all cores")
     parser.add_argument(
-        "--cuda_graphs", type=bool, default=True, help="launch a GPU's training steps as one graph each"
+        "--cuda_graphs", type=bool, default=False, help="launch a GPU's training steps as one graph each"
     )
     parser.add_argument("--run_root", type=str, default="runs", help="where run directories go")
     parser.add_argument("--domains", type=dict[str, Domain], help="simulator and expert of each domain")

@@ -246,7 +246,9 @@ def sizes(first: tuple[int, int], second: tuple[int, int], tasks: int, decoder_s
     """Parameters of encoder, common policy and decoder at the paper's widths, where domains share columns."""
     domains = [tiny.spec("x", *first), tiny.spec("y", *second)]
     names = [f"task_{i}" for i in range(tasks)]
-    policy = PortablePolicy(tiny.problem(domains, names), decoder_state=decoder_state, columns="shared")
+    policy = PortablePolicy(
+        tiny.problem(domains, names), encoder_layers=3, decoder_state=decoder_state, columns="shared"
+    )
     parts = (policy.encoder, policy.common, policy.decoder)
     return [sum(p.numel() for p in part.parameters()) for part in parts]
 

@@ -23,6 +23,7 @@ from plp_lightning.steps import capture
 from plp_lightning.stopping import PreemptedError
 
 SMALL = ["--data.batch_size", "16", "--trainer.log_every_n_steps", "7", "--trainer.accelerator", "cpu"]
+GRAPHS = [*SMALL, "--cuda_graphs", "true"]
 
 
 class Rerun:
@@ -65,7 +66,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run(folder: Path, *options: str, method: str = "plp") -> RunDirectory:
     overlay = ["--config", str(ROOT / "configs" / "methods" / f"{method}.yaml")]
-    answer = plp("fit", *tiny_smoke(folder), *SMALL, *overlay, *options)
+    answer = plp("fit", *tiny_smoke(folder), *GRAPHS, *overlay, *options)
     assert answer.code == 0, answer
     return smoke_run(folder, method)
 
@@ -94,7 +95,7 @@ def test_a_run_of_graphs_resumes_exactly(tmp_path: Path, monkeypatch: pytest.Mon
 
     with monkeypatch.context() as patch:
         patch.setattr(Preemption, "on_train_batch_end", stopped)
-        answer = plp("fit", *tiny_smoke(tmp_path / "broken"), *SMALL, *schedules)
+        answer = plp("fit", *tiny_smoke(tmp_path / "broken"), *GRAPHS, *schedules)
         assert answer.code == PreemptedError(15).exit_code, answer
     broken = smoke_run(tmp_path / "broken")
     assert plp("fit", "--resume", broken.path).code == 0
@@ -110,7 +111,7 @@ def test_a_step_that_cannot_be_captured_is_taken_piece_by_piece(
 
     single = run(tmp_path / "single", "--cuda_graphs", "false")
     monkeypatch.setattr(capture, "recorded", refused)
-    answer = plp("fit", *tiny_smoke(tmp_path / "refused"), *SMALL)
+    answer = plp("fit", *tiny_smoke(tmp_path / "refused"), *GRAPHS)
     assert answer.code == 0, answer
     told = "its steps are launched piece by piece, not as CUDA graphs: operation not permitted"
     assert [line.partition(told)[0] for line in answer.err.splitlines()] == ["plp: Alignment: ", "plp: Adaptation: "]
