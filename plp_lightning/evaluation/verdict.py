@@ -15,7 +15,8 @@ from datamodules.transfer import TransferDataModule
 from plp_lightning.evaluation.held_out import held_out_actions
 from plp_lightning.evaluation.mixing import NeighbourhoodScore, task_rows
 from plp_lightning.evaluation.scores import encode
-from plp_lightning.methods.policy import AligningPolicy, Policy
+from plp_lightning.methods.plp.policy import PortablePolicy
+from plp_lightning.methods.policy import Policy
 
 SAMPLES = 100  # States of each domain and task; a verdict is to cost seconds
 PAGE = "docs/verdict.md"
@@ -108,13 +109,13 @@ def facts(policy: Policy, data: TransferDataModule, success: Mapping[str, float]
 
     Returns:
         ``cloned/<domain>``, success on proxy tasks, or ``unexplained/<domain>``, the share of the held-out actions'
-        variance that predictions miss, where nothing is simulated; ``learnt``; and, of policies with a latent space,
+        variance that predictions miss, where nothing is simulated; ``learnt``; and, of portable latent policies,
         ``mix``, ``spread`` and, where the domains share no columns, ``proxies``, their number.
     """
     found = dict(_cloning(policy, data, success))
     if "source" in success:
         found["learnt"] = success["source"]
-    if isinstance(policy, AligningPolicy):
+    if isinstance(policy, PortablePolicy):
         found |= _latent_facts(policy, data)
     return found
 
@@ -128,7 +129,11 @@ def verdict(known: Mapping[str, float]) -> list[str]:
     """The verdict in lines: ``aligned``, or what falls short and which key to try."""
     missed = shortfalls(known)
     if not missed:
-        latent = "aligned" if "mix" in known else "nothing falls short; this method has no latent space to look at"
+        latent = (
+            "aligned"
+            if "mix" in known
+            else "nothing falls short; this method has no latent space that all domains share"
+        )
         return [f"verdict: {latent}"]
     return [f"verdict: falls short ({PAGE})", *(_line(name, known[name], check) for name, check in missed)]
 
@@ -153,14 +158,14 @@ def _cloning(policy: Policy, data: TransferDataModule, success: Mapping[str, flo
             yield f"unexplained/{domain}", float(((predicted - shown) ** 2).mean()) / variance
 
 
-def _latent_facts(policy: AligningPolicy, data: TransferDataModule) -> dict[str, float]:
+def _latent_facts(policy: PortablePolicy, data: TransferDataModule) -> dict[str, float]:
     joined = torch.cat([_latents(policy, data, domain) for domain in (data.source_domain, data.target_domain)])
     found = NeighbourhoodScore(SAMPLES)(policy, data, {}) | {"spread": float(joined.std(dim=0).mean())}
     shared = policy.arguments.get("columns") == "shared"  # what the domains' numbers mean is known then
     return found if shared else found | {"proxies": float(len(data.proxy_tasks))}
 
 
-def _latents(policy: AligningPolicy, data: TransferDataModule, domain: str) -> Tensor:
+def _latents(policy: PortablePolicy, data: TransferDataModule, domain: str) -> Tensor:
     """Latent states ``(N, Z)`` of some steps of each proxy task."""
     drawn = [task_rows(data, domain, task) for task in data.proxy_tasks]
     some = [generator(Stream.SCORED_STATES, len(rows)).permutation(rows)[:SAMPLES] for rows in drawn]

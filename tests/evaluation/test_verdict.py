@@ -47,7 +47,7 @@ def test_what_falls_short_is_named_with_what_to_try(fact: str, value: float, tol
 
 def test_a_method_without_a_latent_space_is_not_called_aligned() -> None:
     known = {name: value for name, value in WELL.items() if name not in ("mix", "spread")}
-    assert verdict(known) == ["verdict: nothing falls short; this method has no latent space to look at"]
+    assert verdict(known) == ["verdict: nothing falls short; this method has no latent space that all domains share"]
 
 
 def test_facts_of_latents_are_those_of_the_policy(data: TransferDataModule) -> None:
