@@ -18,6 +18,8 @@ from plp_lightning.methods.policy import AligningPolicy
 
 FIRST_GUESS = 1.0  # what an evaluation is taken to cost before the first one, s
 SHARE = 0.1  # share of the time since the last evaluation that the next one may take if nothing else is asked for
+POINTS = 10  # points that a phase's curve has at least where evaluations are cheap
+CHEAP, SHORT = 0.2, 10.0  # share of the time trained so far, and s in all, below which evaluations are
 
 
 class SimulatorEvaluation(Callback):
@@ -29,8 +31,9 @@ class SimulatorEvaluation(Callback):
         simulators: By domain.
         trials: By name: target task and proxy tasks, in source and target domain.
         episodes: Episodes of each trial.
-        every_n_epochs: Epochs between two evaluations; 0 leaves it to the end of the phase, None evaluates
-            after every epoch that is long enough for the evaluation to take under a tenth of the time.
+        every_n_epochs: Epochs between two evaluations; 0 leaves it to the end of the phase. None evaluates
+            whenever that takes under a tenth of the time since the last evaluation, and at every tenth of the
+            phase's epochs as long as evaluations have taken under a fifth of the time trained, or under 10 s.
         seed: Seed of the initial states.
         metrics: Metrics of behaviour.
     """
@@ -46,21 +49,25 @@ class SimulatorEvaluation(Callback):
     ) -> None:
         self.simulators, self.eval_settings = simulators, trials
         self.episodes, self.every_n_epochs, self.seed, self.metrics = episodes, every_n_epochs, seed, metrics
-        self.cost, self.last = FIRST_GUESS, time.monotonic()
+        self.cost, self.spent = FIRST_GUESS, 0.0
+        self.began = self.last = time.monotonic()
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self.last = time.monotonic()
+        self.began = self.last = time.monotonic()
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        if self._due(trainer.current_epoch + 1) and isinstance(pl_module, Phase):
+        if self._due(trainer.current_epoch + 1, trainer.max_epochs or 1) and isinstance(pl_module, Phase):
             began = time.monotonic()
             self._evaluate(trainer, pl_module)
             self.last = time.monotonic()
             self.cost = self.last - began
+            self.spent += self.cost
 
-    def _due(self, epoch: int) -> bool:
+    def _due(self, epoch: int, epochs: int) -> bool:
         if self.every_n_epochs is None:
-            return time.monotonic() - self.last >= self.cost / SHARE
+            now = time.monotonic()
+            cheap = self.spent < max(SHORT, CHEAP * (now - self.began - self.spent))
+            return now - self.last >= self.cost / SHARE or (cheap and epoch % max(1, epochs // POINTS) == 0)
         return self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
 
     def _evaluate(self, trainer: Trainer, phase: Phase) -> None:

@@ -14,6 +14,7 @@ from datamodules.plain_yaml import dump_yaml
 from datamodules.transfer import TransferDataModule
 from datamodules.words import expand_home
 from plp_lightning.cli.keeping import keep
+from plp_lightning.cli.loggers import Loggers
 from plp_lightning.evaluation.scores import JointScore
 from plp_lightning.runs.collection import ExpertCollector
 from plp_lightning.runs.experiment import Experiment, Method, check_names
@@ -35,7 +36,9 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         if not config[key]:
             raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
     _settle_places(config)
-    kept, made = keep(parser, config, dropped), _made(parser, config)
+    kept = keep(parser, config, dropped)
+    config.trainer.logger = None  # a phase builds its own
+    made = _made(parser, config)
     check_names({"experiment": made.experiment, "method": made.method})
     return Experiment(
         name=made.experiment,
@@ -49,7 +52,8 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         evaluation=made.evaluation,
         score=JointScore(made.score) if made.score else None,
         callbacks=made.callbacks,
-        trainer=dict(vars(made.trainer)),
+        trainer={key: value for key, value in vars(made.trainer).items() if key != "logger"},
+        loggers=Loggers(kept["trainer"]["logger"] or []),
         config=dump_yaml(kept),
     )
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from lightning.pytorch import Callback
+from lightning.pytorch.loggers import Logger
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
@@ -19,11 +20,14 @@ from plp_lightning.methods.plp.terms import AlignmentTerm
 from plp_lightning.methods.policy import Policy
 from plp_lightning.networks import ImageEncoderFactory
 
-ALLOWED_IMPORTS = ["plp_lightning", "datamodules", "lightning.pytorch.callbacks", "torchmetrics", "torch.optim"]
+ALLOWED_IMPORTS = [
+    *("plp_lightning", "datamodules", "torchmetrics", "torch.optim"),
+    *("lightning.pytorch.callbacks", "lightning.pytorch.loggers"),
+]
 """Packages that a configuration may import from; a file that names another is refused before the import happens."""
 ROOTS = (
     *(Policy, Phase, AlignmentTerm, ImageEncoderFactory, Simulator, Expert, AlignmentScore, BehaviourMetric),
-    *(Callback, Optimizer, LRScheduler),
+    *(Callback, Logger, Optimizer, LRScheduler),
 )
 """Their subclasses are what a configuration names."""
 

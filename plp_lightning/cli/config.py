@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import yaml
 from jsonargparse import ArgumentParser, Namespace, set_loader, set_parsing_settings
 from lightning.pytorch import Callback, Trainer
+from lightning.pytorch.loggers import Logger
 
 from datamodules.amounts import DataSettings
 from datamodules.errors import ConfigError
@@ -25,8 +26,9 @@ from plp_lightning.cli.building import build
 from plp_lightning.cli.classes import ALLOWED_IMPORTS
 from plp_lightning.cli.explanation import OURS, explain
 from plp_lightning.cli.layers import check_shape, completed, insert, overlay, with_encoder_class, without_spare_parts
+from plp_lightning.cli.loggers import listed, with_loggers
 from plp_lightning.cli.renamed import rename, rename_flag
-from plp_lightning.cli.yaml_files import Tree, read_yaml
+from plp_lightning.cli.yaml_files import Tree, read_value, read_yaml
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation import mixing  # noqa: F401
@@ -125,13 +127,14 @@ def resolve(arguments: Sequence[str], allowed: Sequence[str]) -> Resolved:
         renamed, changes = rename(content, phases, tree)
         told += _notice(f"{path}", changes)
         parts = {name: {"class_path": x} for name, x in renamed.items() if name in phases and isinstance(x, str)}
-        tree = overlay(tree, with_encoder_class(renamed | parts, tree), allowed)
+        tree = overlay(tree, with_encoder_class(listed(renamed | parts), tree), allowed)
     words, changes = _flags(arguments, tree)
+    tree, words = with_loggers(tree, words, allowed)
     chosen, flags = _class_flags(words, phases)
     check_shape(chosen)
     chosen, more = rename(chosen, phases, tree)
     for value in option_values(arguments, "phases"):
-        chosen["phases"] = _read(value)
+        chosen["phases"] = read_value(value)
     tree = overlay(tree, with_encoder_class(chosen, tree), allowed)
     _check_phases(tree, phases)
     kept, dropped = without_spare_parts(tree, phases, SPARE_TERMS)
@@ -179,7 +182,7 @@ def _class_flags(flags: Sequence[str], phases: Sequence[str]) -> tuple[Tree, lis
         if found is None:
             rest.append(word)
             continue
-        content = _read(value if joint else next(words, ""))
+        content = read_value(value if joint else next(words, ""))
         if found[2] or (isinstance(content, str) and not found[1].endswith(".lr_schedule")):
             content = {"class_path": content}
         insert(chosen, re.sub(rf"^(\w+)\.(?={inner})", r"\1.init_args.", found[1]), content)
@@ -216,9 +219,9 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     parser.add_argument("--score", type=list[AlignmentScore] | None, default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")
     parser.add_argument("--trainer.max_epochs", type=PositiveInt | None, help="epochs of every phase, not its own")
-    parser.add_class_arguments(
-        Trainer, "trainer", skip={"max_epochs", *(key.removeprefix("trainer.") for key in OURS)}, instantiate=False
-    )
+    parser.add_argument("--trainer.logger", type=list[Logger] | None, help="loggers beside a run's own; += appends")
+    own = {"max_epochs", "logger", *(key.removeprefix("trainer.") for key in OURS)}
+    parser.add_class_arguments(Trainer, "trainer", skip=own, instantiate=False)
     return parser
 
 
@@ -261,7 +264,7 @@ def _value(text: str) -> Any:
 
 def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:
     """Phases that files and flags name; a method that leaves one out still reads pages that set it up."""
-    lists = [content["phases"] for content in contents if "phases" in content] + [_read(value) for value in flags]
+    lists = [content["phases"] for content in contents if "phases" in content] + [read_value(value) for value in flags]
     for names in lists:
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
             raise ConfigError(f"phases is {names!r}; expected a list of names, such as [alignment, adaptation]")
@@ -287,10 +290,3 @@ def _check_phases(tree: Tree, phases: Sequence[str]) -> None:
         if name not in known:
             choice = ", ".join(known)
             raise ConfigError(f"phases names {name!r}, which nothing sets up; set {name}.class_path, or name: {choice}")
-
-
-def _read(text: str) -> Any:
-    try:
-        return parse_yaml(text)
-    except yaml.YAMLError:
-        return text

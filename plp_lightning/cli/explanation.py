@@ -14,7 +14,6 @@ from plp_lightning.cli.classes import known_classes
 GIVE = "give an experiment, such as --config configs/r2r.yaml"
 OURS = {
     "trainer.callbacks": "a run has its own: append yours with --callbacks+=CLASS",
-    "trainer.logger": "every run logs to TensorBoard and to metrics.csv, and to no other logger yet: leave it away",
     "trainer.default_root_dir": "everything is in the run directory: choose where with --run_root",
     "trainer.plugins": "a run has its own: leave it away",
     "trainer.enable_checkpointing": "a run always saves where it stands: leave it away",

@@ -25,7 +25,7 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.rehearsal import check_method
 from plp_lightning.runs.roles import find_roles
-from plp_lightning.runs.settings import PLACES, config_hash
+from plp_lightning.runs.settings import config_hash, without_places
 from plp_lightning.sweeps.page import OWN, SweepPage, Variant, variants
 from plp_lightning.sweeps.sharing import PlannedRun
 
@@ -191,7 +191,7 @@ def _decided(experiment: Experiment, tree: Mapping[str, Any], phase: str, readin
     """Hash of all that decides the policy after a phase: settings, data, and the phases up to it."""
     phases = list(experiment.method.phases)
     until = phases[: phases.index(phase) + 1]
-    kept = {key: value for key, value in tree.items() if key not in (*phases, "data", "phases")}
+    kept = {key: value for key, value in without_places(tree).items() if key not in (*phases, "data", "phases")}
     kept |= {f"data.{key}": value for key, value in tree["data"].items()}
     kept = {key: value for key, value in kept.items() if key not in LATER}
     kept["collection"] = {key: value for key, value in kept["collection"].items() if f"collection.{key}" not in LATER}
@@ -221,12 +221,7 @@ def _check_same(name: str, path: Path, tree: Mapping[str, Any]) -> None:
     if results.get("config_sha256") == config_hash(tree):
         return
     begun_with = read_yaml(run.config)
-    changed = first_change(_without_places(begun_with), _without_places(tree))
+    changed = first_change(without_places(begun_with), without_places(tree))
     if changed:
         remedy = "restore the setting, name another root, or remove the run"
         raise ConfigError(f"{name}: {changed} has changed since the run began; {remedy}")
-
-
-def _without_places(tree: Mapping[str, Any]) -> dict[str, Any]:
-    data = {key: value for key, value in tree.get("data", {}).items() if f"data.{key}" not in PLACES}
-    return {key: value for key, value in tree.items() if key not in PLACES} | {"data": data}

@@ -28,6 +28,14 @@ def read_yaml(path: Path) -> Tree:
     return content or {}
 
 
+def read_value(text: str) -> Any:
+    """Value of a flag; what is no YAML is a word."""
+    try:
+        return parse_yaml(text)
+    except yaml.YAMLError:
+        return text
+
+
 def _decoded(path: Path, content: bytes) -> str:
     if len(content) > LARGEST:
         raise ConfigError(f"{path}: holds more than {LARGEST} bytes; expected a page of settings: name another file")

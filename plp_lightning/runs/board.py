@@ -13,6 +13,7 @@ from lightning.pytorch.utilities import rank_zero_only
 
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.further_loggers import end
 from plp_lightning.runs.results import COUNTED, ROWS
 from plp_lightning.runs.settings import differing_settings
 
@@ -80,12 +81,13 @@ def log_end(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any],
     }
     metrics |= {f"final/{name}": value for name, value in record["alignment"].items()}
     for logger in trainer.loggers:
-        if last and isinstance(logger, TensorBoardLogger):
-            logger.log_hyperparams(_settings(experiment), metrics, trainer.global_step)
+        if last and isinstance(logger, Board):
+            logger.log_hyperparams(settings(experiment), metrics, trainer.global_step)
             logger.experiment.add_text("results", result_table(record["trials"]), trainer.global_step)
         else:
             logger.log_metrics(metrics, trainer.global_step)
         logger.save()
+        end(logger)
 
 
 def result_table(trials: Mapping[str, Mapping[str, Any]]) -> str:
@@ -98,8 +100,8 @@ def result_table(trials: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join(rows) if trials else "not simulated"
 
 
-def _settings(experiment: Experiment) -> dict[str, str | float | int | bool]:
-    """All settings for the page HPARAMS, first what tells this run from others."""
+def settings(experiment: Experiment) -> dict[str, str | float | int | bool]:
+    """All settings by dotted key, as the page HPARAMS has them, first what tells this run from others."""
     resolved = yaml.safe_load(experiment.config)
     names: dict[str, Any] = {"experiment": experiment.name, "method": experiment.method.name}
     names |= {"target_task": experiment.data.target_task, "seed": experiment.seed}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lightning.pytorch import Callback
+from lightning.pytorch.loggers import Logger
 
 from datamodules.errors import ConfigError
 from datamodules.problem import TransferProblem
@@ -27,6 +28,8 @@ from plp_lightning.runs.plans import EvaluationPlan
 
 PolicyFactory = Callable[[TransferProblem], Policy]
 PhaseFactory = Callable[[Policy], Phase[Any]]
+LoggerFactory = Callable[[Path, str], list[Logger]]
+"""Builds the loggers of one phase, given its folder and a title that tells it from all others."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class Experiment:
     score: JointScore | None
     callbacks: Sequence[Callback]
     trainer: Mapping[str, Any]  # Arguments of Lightning's Trainer
+    loggers: LoggerFactory  # Those beside a run's own
     config: str  # The resolved configuration as YAML
 
     @property

@@ -50,7 +50,9 @@ class EvaluationPlan(Configured):
 
     Args:
         every_n_epochs: Epochs between two evaluations, by phase; 0 leaves it to the end. A phase that is not
-            named is evaluated whenever that takes under a tenth of the time trained since the last evaluation.
+            named is evaluated whenever that takes under a tenth of the time trained since the last evaluation, and
+            at every tenth of its epochs, or every epoch of fewer than ten, as long as evaluations have taken under a
+            fifth of the time trained, or under 10 s: so a curve has ten points or more where they are cheap.
         episodes: Episodes of each trial in these.
         final_episodes: Episodes of each trial at the end of a phase.
         score_every_n_epochs: Epochs between two alignment scores.

@@ -38,14 +38,21 @@ def differing_settings(resolved: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in resolved.items():
         found |= _differing(key, value, _defaults(GROUPS[key]) if key in GROUPS else UNKNOWN)
-    return {key: value for key, value in found.items() if key not in (*PLACES, *IDENTITY)}
+    named = {key: value for key, value in found.items() if key not in (*PLACES, *IDENTITY)}
+    return {key: value for key, value in named.items() if not key.startswith("trainer.logger")}
 
 
 def config_hash(resolved: Mapping[str, Any]) -> str:
     """SHA-256 of a resolved configuration without the places that it names, in hexadecimal digits."""
+    return hashlib.sha256(json.dumps(without_places(resolved), sort_keys=True, default=str).encode()).hexdigest()
+
+
+def without_places(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """A resolved configuration without the places that it names, those that curves are logged to included."""
     data = {key: value for key, value in resolved.get("data", {}).items() if f"data.{key}" not in PLACES}
-    rest = {key: value for key, value in resolved.items() if key not in PLACES}
-    return hashlib.sha256(json.dumps({**rest, "data": data}, sort_keys=True, default=str).encode()).hexdigest()
+    trainer = {key: value for key, value in resolved.get("trainer", {}).items() if key != "logger"}
+    own = {"data": data} | ({"trainer": trainer} if "trainer" in resolved else {})
+    return {key: value for key, value in resolved.items() if key not in PLACES} | own
 
 
 def _differing(key: str, value: Any, default: Any) -> dict[str, Any]:

@@ -25,8 +25,10 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.pictures.latents import LatentPicture
 from plp_lightning.pictures.reconstructions import ReconstructionPicture
 from plp_lightning.runs.board import Board, Progress
+from plp_lightning.runs.board import settings as all_settings
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
+from plp_lightning.runs.further_loggers import further_loggers, tell_settings
 from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.runs.phase_progress import PhaseProgress
 from plp_lightning.runs.resumption import Resumption
@@ -80,7 +82,10 @@ def check_trainer(experiment: Experiment) -> None:
         raise ConfigError(f"{told}; expected 1 and auto: a run uses one device; start several runs side by side")
     try:
         callbacks = [*best_and_last(Path(), Phase.monitor), *copy.deepcopy([*experiment.callbacks])]
-        _lightning(settings, Path(), [MetricsFile(Path())], callbacks)
+        loggers = further_loggers(experiment, experiment.run_path, next(iter(experiment.method.phases)))
+        _lightning(settings, Path(), [MetricsFile(Path()), *loggers], callbacks)
+    except ConfigError:
+        raise
     except Exception as error:  # Lightning's own, and what its parts raise for values that it does not look at
         raise ConfigError(f"trainer: {error}; mend --trainer or --callbacks") from None
 
@@ -129,8 +134,10 @@ def build_trainer(
     curves.show_charts()
     callbacks = [*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])]
     callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
-    trainer = _lightning(settings, run.path, [curves, MetricsFile(run.phase(name))], callbacks)
+    further = further_loggers(experiment, run.path, name)
+    trainer = _lightning(settings, run.path, [curves, MetricsFile(run.phase(name)), *further], callbacks)
     step_quickly(trainer, capture=experiment.cuda_graphs)
+    tell_settings(further, all_settings(experiment))
     return trainer
 
 

@@ -9,9 +9,9 @@ from plp_lightning.callbacks.evaluation import SimulatorEvaluation
 
 
 def run_epochs(
-    callback: SimulatorEvaluation, monkeypatch: pytest.MonkeyPatch, seconds: float, cost: float
+    callback: SimulatorEvaluation, monkeypatch: pytest.MonkeyPatch, seconds: float, cost: float, epochs: int = 60
 ) -> list[int]:
-    """Epochs (of 60) after which ``callback`` evaluated, on a clock where both durations are exact."""
+    """Epochs after which ``callback`` evaluated, on a clock where both durations are exact."""
     clock, turns = SimpleNamespace(now=0.0), []
 
     def evaluate(trainer: object, phase: object) -> None:
@@ -22,9 +22,9 @@ def run_epochs(
     monkeypatch.setattr(evaluation, "Phase", object)
     monkeypatch.setattr(callback, "_evaluate", evaluate)
     callback.on_train_start(None, None)
-    for epoch in range(1, 61):
+    for epoch in range(1, epochs + 1):
         clock.now += seconds
-        callback.on_train_epoch_end(SimpleNamespace(current_epoch=epoch - 1), object())
+        callback.on_train_epoch_end(SimpleNamespace(current_epoch=epoch - 1, max_epochs=epochs), object())
     return turns
 
 
@@ -43,6 +43,22 @@ def test_every_epoch_where_it_costs_under_a_tenth(monkeypatch):
     assert run_epochs(callback, monkeypatch, seconds=11, cost=1) == list(range(1, 61))
 
 
-def test_dear_evaluations_take_a_tenth_of_the_time(monkeypatch):
+def test_dear_evaluations_take_a_tenth_of_the_time_and_at_tenths_of_the_epochs_a_fifth(monkeypatch):
     callback = SimulatorEvaluation({}, {}, 1, every_n_epochs=None, seed=0)
-    assert run_epochs(callback, monkeypatch, seconds=10, cost=20) == [1, 21, 41]
+    assert run_epochs(callback, monkeypatch, seconds=10, cost=20) == [1, 12, 24, 36, 42, 54]
+    assert callback.spent <= 0.2 * 60 * 10
+
+
+@pytest.mark.parametrize("cost", [0.01, 0.5])
+@pytest.mark.parametrize(("epochs", "expected"), [(4, 4), (10, 10), (19, 19), (25, 12), (100, 10)])
+def test_cheap_evaluations_in_short_epochs_give_ten_points(epochs: int, expected: int, cost: float, monkeypatch):
+    callback = SimulatorEvaluation({}, {}, 1, every_n_epochs=None, seed=0)
+    turns = run_epochs(callback, monkeypatch, seconds=0.01, cost=cost, epochs=epochs)
+    step = max(1, epochs // 10)
+    assert {*range(step, epochs + 1, step)} <= {*turns}
+    assert len(turns) >= expected
+
+
+def test_an_evaluation_that_takes_longer_than_all_training_comes_once(monkeypatch):
+    callback = SimulatorEvaluation({}, {}, 1, every_n_epochs=None, seed=0)
+    assert run_epochs(callback, monkeypatch, seconds=1, cost=1000) == [6]

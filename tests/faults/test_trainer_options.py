@@ -93,10 +93,6 @@ def test_a_loader_goes_on_in_an_epoch_that_is_cut(monkeypatch: pytest.MonkeyPatc
         ("--trainer.num_nodes 2", "a run uses one device"),
         ("--trainer.precision 16-mixed --trainer.accelerator cpu", "AMP with fp16 is not supported on CPU"),
         ("--trainer.precision bf16-true", "precision is bf16-true; expected bf16-mixed or 16-mixed"),
-        (
-            "--trainer.logger CSVLogger",
-            "trainer.logger is not for files and flags to set; every run logs to TensorBoard",
-        ),
         ("--trainer.callbacks x", "append yours with --callbacks+=CLASS"),
         ("--callbacks+=ModelCheckpoint", "more than one stateful callback of type `ModelCheckpoint`"),
         ("--callbacks+=EarlyStopping --callbacks.monitor x --callbacks.mode up", "a setting is impossible: "),
