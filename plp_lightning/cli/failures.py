@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 import sys
 import threading
+import traceback
 
 from datamodules.errors import UserError
 from plp_lightning.stopping import PreemptedError
+
+LOGGERS = re.compile(r"lightning\.(pytorch|fabric)\.loggers\.")
 
 
 def tell_of_threads() -> None:
@@ -35,6 +38,9 @@ def answer_to(error: BaseException, way_on: str) -> tuple[str, int] | None:
     if _out_of_memory(error):
         found = " ".join(str(error).split())[:160] or type(error).__name__
         return f"out of memory ({found}); expected less: try smaller batches or sizes, then {way_on}", 2
+    if any(LOGGERS.match(module) for module in _modules(error)):
+        found = f"{type(error).__name__}: {' '.join(str(error).split())[:160]}"
+        return f"a logger failed ({found}); expected one that can write: mend what it needs, then {way_on}", 2
     if _refused_by_lightning(error):
         return f"Lightning refuses this: {error}; mend the setting", 2
     return None
@@ -48,9 +54,11 @@ def _out_of_memory(error: BaseException) -> bool:
 
 def _refused_by_lightning(error: BaseException) -> bool:
     """True if Lightning itself raised an error: it finds some settings impossible only when training begins."""
-    place = error.__traceback__
-    while place is not None and place.tb_next is not None:
-        place = place.tb_next
-    module = str(place.tb_frame.f_globals.get("__name__", "")) if place is not None else ""
-    refusal = module.startswith("lightning.") and isinstance(error, ValueError | RuntimeError | TypeError)
+    raised_in = (_modules(error) or [""])[-1]
+    refusal = raised_in.startswith("lightning.") and isinstance(error, ValueError | RuntimeError | TypeError)
     return refusal or type(error).__name__ == "MisconfigurationException"
+
+
+def _modules(error: BaseException) -> list[str]:
+    """Modules that an error went through, that which raised it last."""
+    return [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]

@@ -1,4 +1,4 @@
-"""Loggers of Lightning's, or of one's own, beside a run's: ``--trainer.logger`` and its settings as a list of classes."""
+"""Loggers beside a run's own, Lightning's or one's own: ``--trainer.logger`` and its settings as a list of classes."""
 
 from __future__ import annotations
 

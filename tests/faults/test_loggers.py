@@ -224,6 +224,20 @@ def test_a_logger_that_cannot_begin_is_told_in_a_line(tmp_path: Path) -> None:
     assert "Told can't begin (RuntimeError: no account here)" in told
 
 
+@pytest.mark.parametrize("error", [RuntimeError("the server\nis gone"), KeyError("gone")])
+def test_a_logger_that_fails_while_it_logs_is_told_in_a_line(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise error
+
+    monkeypatch.setattr("lightning.fabric.loggers.csv_logs._ExperimentWriter.log_metrics", fail)
+    answer = plp("fit", *tiny_smoke(tmp_path), "--trainer.logger", "CSVLogger")
+    assert answer.code == 2, answer
+    assert f"plp: a logger failed ({type(error).__name__}: " in answer.err.splitlines()[-1]
+    assert "--resume" in answer.err
+
+
 @pytest.mark.parametrize(("name", "package"), [("WandbLogger", "wandb"), ("MLFlowLogger", "mlflow")])
 def test_a_logger_whose_package_is_missing_says_what_to_install(name: str, package: str, tmp_path: Path) -> None:
     available = sys.modules[f"lightning.pytorch.loggers.{package}"].__dict__[f"_{package.upper()}_AVAILABLE"]
