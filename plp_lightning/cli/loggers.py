@@ -75,18 +75,16 @@ def with_loggers(tree: Tree, flags: Sequence[str], allowed: Sequence[str]) -> tu
     for word in words:
         key, joint, value = word.partition("=")
         if key.rstrip("+") == FLAG or (key.startswith(f"{FLAG}.") and key != f"{FLAG}.help"):
-            text = value if joint else next(words, "")
+            text = value if joint else next(words, "--")
             chosen = _told(chosen, key.removeprefix(FLAG), text)
         else:
             rest.append(word)
-    if not chosen:
-        return tree, rest
     check_shape(chosen, "trainer.logger")
-    return {**tree, "trainer": {**trainer, "logger": [_settled(item, allowed) for item in chosen]}}, rest
+    return {**tree, "trainer": {**trainer, "logger": [_settled(item, allowed) for item in chosen] or None}}, rest
 
 
 def _told(chosen: list[Tree], key: str, text: str) -> list[Tree]:
-    if not text or text.startswith("--"):
+    if text.startswith("--") or (not text and not key.startswith(".")):
         raise ConfigError(f"{FLAG}{key} has no value; give one, such as {FLAG} CSVLogger")
     if not key.startswith("."):
         return [*(chosen if key else []), *_items(read_value(text))]

@@ -3,9 +3,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
+from command import checkpoint, plp, same, smoke_run, tiny_smoke
 
 from plp_lightning.callbacks import evaluation
 from plp_lightning.callbacks.evaluation import SimulatorEvaluation
+from plp_lightning.runs.curves import read_rows
 
 
 def run_epochs(
@@ -62,3 +64,15 @@ def test_cheap_evaluations_in_short_epochs_give_ten_points(epochs: int, expected
 def test_an_evaluation_that_takes_longer_than_all_training_comes_once(monkeypatch):
     callback = SimulatorEvaluation({}, {}, 1, every_n_epochs=None, seed=0)
     assert run_epochs(callback, monkeypatch, seconds=1, cost=1000) == [6]
+
+
+def test_curves_of_success_have_ten_points_in_both_domains_and_phases_and_cost_no_weight(tmp_path):
+    epochs = ["--alignment.epochs", "11", "--adaptation.epochs", "11", "--score", "[]"]
+    for name, often in {"default": "{}", "never": "{alignment: 0, adaptation: 0}"}.items():
+        answer = plp("fit", *tiny_smoke(tmp_path / name), *epochs, "--evaluation.every_n_epochs", often)
+        assert answer.code == 0, answer
+    one, other = smoke_run(tmp_path / "default"), smoke_run(tmp_path / "never")
+    for phase in ("alignment", "adaptation"):
+        metrics = [name for _, name, _ in read_rows(one.phase(phase) / "metrics.csv")]
+        assert metrics.count("eval/target_success") == metrics.count("eval/source_success") == 11
+        assert same(checkpoint(one, phase)["state_dict"], checkpoint(other, phase)["state_dict"])
