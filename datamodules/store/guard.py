@@ -81,10 +81,11 @@ def open_guarded(path: Path, limit: Callable[[h5py.File, Path], int] | None = No
     Raises:
         TrajectoryFileError: If the file is missing, empty, damaged or uses a feature that can harm its reader.
     """
+    kind, remedy = ("HDF5", "the path") if foreign else ("a trajectory file", "the path, collect or import it")
     if path.is_dir():
-        raise TrajectoryFileError(f"{path}: is a folder; expected a trajectory file: name the file in it")
+        raise TrajectoryFileError(f"{path}: is a folder; expected {kind}: name the file in it")
     if not path.is_file():
-        raise TrajectoryFileError(f"{path}: no such file; expected a trajectory file: check the path or collect it")
+        raise TrajectoryFileError(f"{path}: no such file; expected {kind}: check {remedy}")
     if path.stat().st_size == 0:
         raise TrajectoryFileError(f"{path}: the file is empty; expected HDF5: copy or collect it again")
     with readable(path):

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
+from command import complaint
 from foreign import (
     DATA,
     EPISODES,
@@ -187,3 +188,14 @@ def test_a_depth_image_is_none_of_bytes(tmp_path: Path) -> None:
     deep = column(DATA, FRONT, lambda v: pa.array([{"bytes": buffer.getvalue(), "path": ""}] * 22))
     told = refused(tmp_path, "lerobot", deep, image=FRONT)
     assert "step 0: found an image of 32 × 40 pixels, I;16; expected 32 × 40 × RGB" in told
+
+
+@pytest.mark.parametrize(
+    ("name", "gone"), [("robomimic", "."), ("minari", "data/main_data.hdf5"), ("d4rl", ".")], ids=str
+)
+def test_a_source_that_is_missing_is_not_to_be_collected(name: str, gone: str, tmp_path: Path) -> None:
+    if name == "d4rl":
+        told = complaint("data", "import", name, tmp_path / "x.hdf5", "--domain", "arm", "--out", tmp_path / "y.hdf5")
+    else:
+        told = refused(tmp_path, name, lambda root: (root / gone).unlink())
+    assert "no such file; expected HDF5: check the path\n" in told

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import fnmatch
+import json
 import re
+from pathlib import Path
 
 import pytest
 from command import ROOT
 
-from plp_lightning.report.records import read_records
+from plp_lightning.report.records import Record, read_records
 
 RESULTS = ROOT / "docs" / "results"
 PAGES = {path.stem for path in (ROOT / "configs").glob("*.yaml")}
@@ -33,7 +35,7 @@ def missing(text: str) -> set[str]:
 
 
 def test_rows_have_names_of_their_own_and_say_what_they_were_made_with() -> None:
-    names = [row["name"] for row in rows()]
+    names = [(row["name"], row["seed"]) for row in rows()]
     assert len(set(names)) == len(names) > 0
     for row in rows():
         assert None not in row, f"{row['name']}: a cell too many"
@@ -61,14 +63,22 @@ def test_pages_that_rows_are_quoted_in_exist() -> None:
 
 
 def test_kept_results_have_their_rows() -> None:
-    table = {row["name"]: row for row in rows()}
-    kept = {"/".join(record.run[:3]): record for record in read_records([RESULTS])}
-    assert {name for name in table if "/" in name} == set(kept)
-    for name, record in kept.items():
-        row = table[name]
-        for key in ("success", "before", "source", "proxy"):
-            value = getattr(record, key)
-            assert row[key] == ("" if value is None else str(value)), f"{name}: {key}"
+    table = {(row["name"], row["seed"]): row for row in rows()}
+    kept = {("/".join(record.run[:3]), str(record.run.seed)): record for record in read_records([RESULTS])}
+    assert {key for key in table if "/" in key[0]} == set(kept)
+    for key, record in kept.items():
+        row = table[key]
+        for measure in ("before", "source", "proxy"):
+            value = getattr(record, measure)
+            assert row[measure] == ("" if value is None else str(value)), f"{key}: {measure}"
+        assert float(row["success"]) == (told_beside(record) if record.success is None else record.success), key
+
+
+def told_beside(record: Record) -> float:
+    """Success of a run without simulators, which was measured afterwards and stands in a file beside its results."""
+    file = RESULTS / Path(record.file).relative_to(RESULTS.name).with_suffix(".episodes.json")
+    success: float = json.loads(file.read_text())["success"]
+    return success
 
 
 def test_results_that_were_measured_with_other_settings_than_meant_say_so() -> None:

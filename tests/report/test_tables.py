@@ -229,8 +229,9 @@ def test_the_readme_shows_means_of_the_kept_results():
 
 @pytest.mark.parametrize("record", read_records([ROOT / "docs" / "results"]), ids=lambda r: "-".join(r.run[1:3]))
 def test_kept_results_lie_where_their_names_say(record):
-    experiment, method, target, _ = record.run
-    assert (ROOT / "docs" / "results" / experiment / method / f"{target}.json").is_file()
+    experiment, method, target, seed = record.run
+    name = target.replace(" ", "_") + (f"_seed_{seed}" if seed else "")
+    assert (ROOT / "docs" / "results" / experiment / method / f"{name}.json").is_file()
 
 
 def test_mistakes_are_one_line(tmp_path):
