@@ -31,6 +31,7 @@ class Stream(Enum):
     SCORED_STATES = 7, "domain"  # States whose alignment is scored
     GUIDED_STATES = (8,)  # The same, of episodes that a guide shows for the score alone
     PROXY_GOALS = (11,)  # Order in which goals become proxy tasks
+    RESAMPLED_RUNS = (12,)  # Runs that stand for others in an interval over runs
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -175,6 +175,11 @@ def test_no_file_is_longer_than_300_lines(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= 300
 
 
+def test_files_of_tests_have_names_of_their_own() -> None:
+    names = [path.name for path in TESTS if path.name.startswith("test_")]
+    assert sorted(names) == sorted({*names}), "pytest takes one of them for the other"
+
+
 def test_no_file_is_a_drawer_for_everything() -> None:
     assert not [relative(path) for path in [*SOURCES, *TESTS] if path.stem in ("utils", "util", "helpers", "misc")]
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import stats
 
 from datamodules.errors import UserError
+from datamodules.streams import Stream, generator
 
 REPETITIONS = 10_000
 Statistic = Callable[[np.ndarray], np.ndarray]  # (R, N) → (R,)
@@ -46,8 +47,8 @@ def bootstrap_interval(
     """
     if not tasks or min(map(len, tasks)) < 2:
         raise UserError("found a task with fewer than two runs; expected two or more: add seeds")
-    generator = np.random.default_rng(0)  # the same runs always have the same interval
-    drawn = [np.asarray(runs)[generator.integers(len(runs), size=(REPETITIONS, len(runs)))] for runs in tasks]
+    draws = generator(Stream.RESAMPLED_RUNS)  # the same runs always have the same interval
+    drawn = [np.asarray(runs)[draws.integers(len(runs), size=(REPETITIONS, len(runs)))] for runs in tasks]
     found = statistic(np.concatenate(drawn, axis=1))
     low, high = np.percentile(found, [50 * (1 - confidence), 50 * (1 + confidence)])
     return float(low), float(high)

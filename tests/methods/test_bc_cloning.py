@@ -78,7 +78,7 @@ def test_state_domain_and_task_enter_one_perceptron(columns: Sharing) -> None:
 def test_it_is_as_deep_and_wide_as_the_three_parts_of_plp() -> None:
     domains = [SMALL, LARGE]
     net = BCPolicy(tiny.problem(domains, TASKS)).net.net
-    portable = tiny.PortablePolicy(tiny.problem(domains, TASKS))
+    portable = tiny.PortablePolicy(tiny.problem(domains, TASKS), encoder_layers=3)  # the paper's depth
     parts = (portable.encoder, portable.common, portable.decoder)
     assert sum(isinstance(layer, torch.nn.GELU) for layer in net) == 10
     assert sum(isinstance(layer, torch.nn.GELU) for part in parts for layer in part.modules()) == 10
