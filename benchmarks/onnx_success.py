@@ -33,7 +33,7 @@ def given(session: Any, observation: Any) -> dict[str, np.ndarray]:
 
 
 def solves(session: Any, env: Any, seed: int, reset: Mapping[str, Any]) -> bool:
-    """Whether the policy solves the episode of that seed."""
+    """Tells whether the policy solves the episode of that seed."""
     observation, _ = env.reset(seed=seed, options=dict(reset))
     solved = over = False
     while not over:

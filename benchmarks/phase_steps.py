@@ -1,4 +1,4 @@
-"""What a step of a phase costs: under the Trainer as `plp fit` has it, without CUDA graphs, in a bare loop, as a graph.
+"""Costs of a step of a phase: under the Trainer as `plp fit` has it, without CUDA graphs, in a bare loop, as a graph.
 
     python benchmarks/phase_steps.py [p2p_alignment p2p_adaptation …] [--accelerator cpu] [--steps 400] [--turns 3]
                                      [--json FILE]

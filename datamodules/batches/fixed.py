@@ -37,7 +37,7 @@ class Layout(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """What the batch of one step is gathered by."""
+    """Numbers by which the batch of one step is gathered."""
 
     loader: FixedLoader
     layout: Layout

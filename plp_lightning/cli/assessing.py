@@ -64,7 +64,7 @@ def assessment_options(verb: str, arguments: Sequence[str], description: str) ->
 
 
 def read_assessment(parser: OptionParser, arguments: Sequence[str]) -> tuple[Assessment, argparse.Namespace]:
-    """What is to be looked at, and the values of all options."""
+    """The policy to look at, and the values of all options."""
     if _names_files(arguments):
         options, rest = parser.parse_known_args(list(arguments))
         _check_files_alone(rest)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 
@@ -11,9 +13,16 @@ from plp_lightning.methods.policy import Policy
 AT_A_TIME = 1024  # Steps in a pass through the policy
 
 
+ActionPairs = Mapping[str, tuple[np.ndarray, np.ndarray]]
+"""Predicted and demonstrated actions ``(N, A)``, by domain."""
+
+
 @torch.inference_mode()
 def held_out_actions(policy: Policy, data: TransferDataModule) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in."""
+    """Predicted and demonstrated actions ``(N, A)`` on held-out trajectories, by domain that the policy acts in.
+
+    Empty if none are held out.
+    """
     found = {}
     for domain, rows in data.rows([*data.proxy_tasks, *data.target_tasks], "val").items():
         if domain in policy.acts_in:
@@ -30,9 +39,6 @@ def _actions(policy: Policy, data: TransferDataModule, domain: str, rows: np.nda
     return policy.predict_actions({domain: seen}, {domain: task})[domain].cpu().numpy(), steps.action.numpy()
 
 
-def held_out_errors(policy: Policy, data: TransferDataModule) -> dict[str, float]:
-    """Mean squared error of actions on held-out trajectories, by domain (Eq. 1); empty if none are held out."""
-    if data.val_fraction == 0:
-        return {}
-    pairs = held_out_actions(policy, data)
+def action_errors(pairs: ActionPairs) -> dict[str, float]:
+    """Mean squared error of actions, by domain (Eq. 1)."""
     return {domain: float(((predicted - shown) ** 2).mean()) for domain, (predicted, shown) in pairs.items()}

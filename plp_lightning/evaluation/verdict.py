@@ -12,7 +12,7 @@ from torch import Tensor
 
 from datamodules.streams import Stream, generator
 from datamodules.transfer import TransferDataModule
-from plp_lightning.evaluation.held_out import held_out_actions
+from plp_lightning.evaluation.held_out import ActionPairs, action_errors
 from plp_lightning.evaluation.mixing import NeighbourhoodScore, task_rows
 from plp_lightning.evaluation.scores import encode
 from plp_lightning.methods.plp.policy import PortablePolicy
@@ -99,21 +99,24 @@ CHECKS = (
 )
 
 
-def facts(policy: Policy, data: TransferDataModule, success: Mapping[str, float]) -> dict[str, float]:
-    """What is known of a policy at the end of a phase, by name; never reads the target task in the target domain.
+def facts(
+    policy: Policy, data: TransferDataModule, success: Mapping[str, float], held_out: ActionPairs
+) -> dict[str, float]:
+    """Gathers what is known of a policy at the end of a phase, without the target task in the target domain.
 
     Args:
         policy: The trained policy, in eval mode.
         data: The demonstrations.
         success: Success rates of the trials ``proxy``, ``proxy_source`` and ``source``, as far as they were simulated
             and the phase has trained for them.
+        held_out: Its actions on held-out trajectories, ``(N, A)``, beside the demonstrated ones; empty without any.
 
     Returns:
         ``cloned/<domain>``, success on proxy tasks, or ``unexplained/<domain>``, the share of the held-out actions'
         variance that predictions miss, where nothing is simulated; ``learnt``; and, of portable latent policies,
         ``mix``, ``spread`` and, where the domains share no columns, ``proxies``, their number.
     """
-    found = dict(_cloning(policy, data, success))
+    found = dict(_cloning(data, success, held_out))
     if "source" in success:
         found["learnt"] = success["source"]
     if isinstance(policy, PortablePolicy):
@@ -149,14 +152,17 @@ def _of(check: Check, known: Mapping[str, float]) -> list[str]:
     return [name for name in known if name.partition("/")[0] == check.fact]
 
 
-def _cloning(policy: Policy, data: TransferDataModule, success: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+def _cloning(
+    data: TransferDataModule, success: Mapping[str, float], held_out: ActionPairs
+) -> Iterator[tuple[str, float]]:
     trials = {"proxy_source": data.source_domain, "proxy": data.target_domain}
     simulated = {domain: success[trial] for trial, domain in trials.items() if trial in success}
     yield from ((f"cloned/{domain}", rate) for domain, rate in simulated.items())
-    for domain, (predicted, shown) in held_out_actions(policy, data).items() if data.val_fraction > 0 else ():
+    for domain, error in action_errors(held_out).items():
+        shown = held_out[domain][1]
         variance = float(((shown - shown.mean(axis=0)) ** 2).mean())
         if domain not in simulated and variance > 0:
-            yield f"unexplained/{domain}", float(((predicted - shown) ** 2).mean()) / variance
+            yield f"unexplained/{domain}", error / variance
 
 
 def _latent_facts(policy: PortablePolicy, data: TransferDataModule) -> dict[str, float]:

@@ -61,7 +61,7 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], rate: float) -> None:
 
 
 def makes_mp4() -> bool:
-    """Whether the package that :func:`write_mp4` needs is installed."""
+    """Tells whether the package that :func:`write_mp4` needs is installed."""
     return find_spec("av") is not None
 
 

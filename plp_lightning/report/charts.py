@@ -104,7 +104,7 @@ def _lines(points: Mapping[Line, Points]) -> dict[str, Points]:
 
 
 def _numbered(group: Group) -> list[tuple[str, Line, float]]:
-    """What a group's names number, of what, and the number."""
+    """Thing that a group's names number, of what, and the number."""
     found = []
     if match := NUMBERED.fullmatch(group.method):
         found.append((match["varied"], (match["of"], group.experiment), float(match["number"])))

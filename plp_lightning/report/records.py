@@ -140,7 +140,7 @@ def _record(file: Path, content: Any, root: Path) -> Record:
 
 
 def _measured(content: Mapping[str, Any]) -> Record:
-    """What a run came to, without where that stands."""
+    """Outcome of a run, without the place where it stands."""
     target = content.get("target")
     errors = content["held_out"] if target is None else content.get("held_out", {})  # older results lack them
     success, low, high = (None,) * 3 if target is None else map(_share, (target["success"], *target["interval"]))

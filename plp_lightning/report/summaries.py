@@ -27,7 +27,7 @@ def success(record: Record) -> float | None:
 
 
 class Summary(NamedTuple):
-    """What several runs come to. Spreads are standard deviations; None where too few runs tell them."""
+    """Outcome of several runs. Spreads are standard deviations; None where too few runs tell them."""
 
     runs: int
     mean: float
@@ -49,7 +49,7 @@ class Group:
     anchor: str  # its name in a document
 
     def summary(self, measure: Measure = success) -> Summary | None:
-        """What its runs come to in one measure; None if no run has it."""
+        """Outcome of its runs in one measure; None if no run has it."""
         return summarise(self.records, measure)
 
 

@@ -14,7 +14,7 @@ import torch
 from datamodules.errors import ConfigError, MissingTrajectoriesError
 from datamodules.store.atomic import locked_folder, replacing, write_atomically
 from datamodules.transfer import TransferDataModule
-from plp_lightning.evaluation.held_out import held_out_actions, held_out_errors
+from plp_lightning.evaluation.held_out import action_errors, held_out_actions
 from plp_lightning.methods.policy import Policy
 from plp_lightning.runs.demonstrations import check_fingerprint
 from plp_lightning.runs.devices import device_name, resolved_device
@@ -89,7 +89,7 @@ class Assessment:
 
 def held_out_losses(assessment: Assessment) -> dict[str, float]:
     """Behavioural-cloning loss of actions ``(N, A)`` on held-out trajectories, by domain (Eq. 1)."""
-    errors = held_out_errors(assessment.policy, assessment.data)
+    errors = action_errors(held_out_actions(assessment.policy, assessment.data))
     return {f"val/bc_{domain}": error for domain, error in errors.items()}
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
+from datamodules.plain_yaml import parse_yaml
 from plp_lightning.runs.devices import on_device, resolved_device
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
@@ -30,4 +29,4 @@ def note_before(experiment: Experiment, run: RunDirectory, name: str, weights: P
 
 
 def _target_task(run: RunDirectory) -> str:
-    return str(yaml.safe_load(run.config.read_text(encoding="utf-8"))["data"]["target_task"])
+    return str(parse_yaml(run.config.read_text(encoding="utf-8"))["data"]["target_task"])

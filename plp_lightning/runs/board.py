@@ -41,7 +41,7 @@ class Progress(NamedTuple):
 
     @classmethod
     def of(cls, trainer: Trainer) -> Progress:
-        """What a trainer has trained."""
+        """Training that a trainer has done."""
         return cls(trainer.fit_loop.epoch_loop._batches_that_stepped, trainer.current_epoch)
 
 

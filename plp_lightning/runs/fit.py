@@ -11,7 +11,7 @@ from lightning.pytorch import Trainer, seed_everything
 
 from datamodules.errors import CheckpointError
 from plp_lightning.callbacks.checkpointing import previous_checkpoint, read_checkpoint
-from plp_lightning.evaluation.held_out import held_out_errors
+from plp_lightning.evaluation.held_out import ActionPairs, action_errors, held_out_actions
 from plp_lightning.evaluation.verdict import facts
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import Policy
@@ -101,16 +101,18 @@ def assess(experiment: Experiment, phase: Phase, trainer: Trainer) -> dict[str, 
     phase.policy.eval()
     with on_device(phase.policy, trainer.strategy.root_device):  # Lightning has put it back on the processor
         trials = _pictured_trials(experiment, phase.policy, trainer) if phase.policy_acts else {}
-        errors = held_out_errors(phase.policy, experiment.data) if phase.policy_acts else {}
-        scores, known = experiment.alignment(phase.policy), _facts(experiment, phase, trials)
-        return {"trials": trials, "alignment": scores, "held_out": errors, "facts": known}
+        held_out = held_out_actions(phase.policy, experiment.data) if phase.policy_acts else {}
+        scores, known = experiment.alignment(phase.policy), _facts(experiment, phase, trials, held_out)
+        return {"trials": trials, "alignment": scores, "held_out": action_errors(held_out), "facts": known}
 
 
-def _facts(experiment: Experiment, phase: Phase, trials: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """What the verdict is made of; what a phase has not been shown says nothing about it."""
+def _facts(
+    experiment: Experiment, phase: Phase, trials: Mapping[str, Mapping[str, Any]], held_out: ActionPairs
+) -> dict[str, float]:
+    """Facts that the verdict is made of; what a phase has not been shown says nothing about it."""
     shown = [name for name in trials if name != "source" or phase.batch_spec.steps != "proxy_tasks"]
     success = {name: trials[name]["success"] for name in shown}
-    return facts(phase.policy, experiment.data, success) if phase.policy_acts else {}
+    return facts(phase.policy, experiment.data, success, held_out) if phase.policy_acts else {}
 
 
 def _pictured_trials(experiment: Experiment, policy: Policy, trainer: Trainer) -> dict[str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""What a sweep is at: a table that is alive on a terminal, a line for each change in a log."""
+"""State of a sweep: a table that is alive on a terminal, a line for each change in a log."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class SweepProgress:
             self.live.update(Group(self._table(), Text(self.summary())), refresh=True)
 
     def summary(self) -> str:
-        """How many jobs are done, and the time that is left as finished ones let expect."""
+        """Number of jobs that are done, and the time that is left as finished ones let expect."""
         counts = Counter(self.states.values())
         told = [f"{counts[state]} {state}" for state in STATES if counts[state] or state == "done"]
         left = self.seconds_left()

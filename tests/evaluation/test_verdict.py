@@ -11,6 +11,7 @@ from tiny import data_module
 from tiny import policy as portable_policy
 
 from datamodules.transfer import TransferDataModule
+from plp_lightning.evaluation.held_out import held_out_actions
 from plp_lightning.evaluation.verdict import CHECKS, facts, shortfalls, verdict
 
 WELL = {"cloned/a": 1.0, "cloned/b": 0.9, "learnt": 1.0, "mix": 0.45, "spread": 0.1, "proxies": 8.0}
@@ -52,21 +53,21 @@ def test_a_method_without_a_latent_space_is_not_called_aligned() -> None:
 
 def test_facts_of_latents_are_those_of_the_policy(data: TransferDataModule) -> None:
     policy = portable_policy(data)
-    known = facts(policy, data, {"proxy": 0.5, "proxy_source": 0.75, "target": 0.125})
+    known = facts(policy, data, {"proxy": 0.5, "proxy_source": 0.75, "target": 0.125}, held_out_actions(policy, data))
     assert (known["cloned/flat"], known["cloned/tall"]) == (0.75, 0.5)
     assert "learnt" not in known  # the target task in the target domain says nothing here
     assert not any(name.startswith("unexplained") for name in known)
     assert known["mix"] < 0.1  # an untrained encoder keeps the domains apart
     apart = policy.encode
     policy.encode = lambda seen: {d: x * 1e-4 for d, x in apart(seen).items()}  # type: ignore[method-assign]
-    shrunk = facts(policy, data, {})
+    shrunk = facts(policy, data, {}, held_out_actions(policy, data))
     assert shrunk["spread"] == pytest.approx(1e-4 * known["spread"], rel=1e-3)
     assert shrunk["mix"] == pytest.approx(known["mix"], abs=0.02)
 
 
 def test_without_simulators_the_share_of_unexplained_actions_counts(data: TransferDataModule) -> None:
     policy = portable_policy(data)
-    known = facts(policy, data, {})
+    known = facts(policy, data, {}, held_out_actions(policy, data))
     assert set(known) >= {"unexplained/flat", "unexplained/tall"}
     assert known["unexplained/tall"] > 0.5  # untrained
 
@@ -76,7 +77,7 @@ def test_without_simulators_the_share_of_unexplained_actions_counts(data: Transf
         return {domain: data.datasets[domain].action[rows]}
 
     policy.predict_actions = told  # type: ignore[method-assign, assignment]
-    assert facts(policy, data, {})["unexplained/tall"] == 0
+    assert facts(policy, data, {}, held_out_actions(policy, data))["unexplained/tall"] == 0
 
 
 def test_the_page_explains_each_check() -> None:
