@@ -93,13 +93,14 @@ def invent(experiment: Experiment, case: Case, path: Path) -> None:
     """Write random demonstrations in the shapes of the experiment's domains."""
     rng, specs, made = np.random.default_rng(0), experiment.specs, []
     for spec in specs:
-        key = spec.image_key
         for task in experiment.data.tasks:
             for i in range(case.per_task):
-                image = None if key is None else rng.integers(0, 256, (case.length, *key.shape), dtype=np.uint8)
+                images = {
+                    key.name: rng.integers(0, 256, (case.length, *key.shape), dtype=np.uint8) for key in spec.image_keys
+                }
                 state = rng.normal(size=(case.length, spec.state_size)).astype(np.float32)
                 action = rng.uniform(-1, 1, (case.length, spec.action_size)).astype(np.float32)
-                made.append(Trajectory(spec.name, task, Observation(state, image), action, seed=i, success=True))
+                made.append(Trajectory(spec.name, task, Observation(state, images), action, seed=i, success=True))
     write_trajectories(path, specs, experiment.data.tasks, made, {})
 
 
