@@ -11,6 +11,9 @@ from torch.autograd.function import once_differentiable
 
 from plp_lightning.methods.plp.losses.distance import full_precision, inverse_distance
 
+FAINT = -60.0
+"""Exponent below which a kernel adds nothing to a float32 sum; a processor is 50 times slower where floats end."""
+
 
 def mmd(latents: Sequence[Tensor], scale_gradient: bool = True, bandwidths: Sequence[float] = (1.0,)) -> Tensor:
     r"""Squared maximum mean discrepancy between domains, mean over all pairs of domains.
@@ -97,7 +100,7 @@ class _KernelSum(torch.autograd.Function):
         ratio = squared.mul_(scale.square())  # s / m²; from here on no distance has a unit
         total, kernel = torch.zeros_like(mean), torch.zeros_like(ratio)
         for width in bandwidths:
-            narrowed = torch.exp(ratio * -(width**-2)).mul_(weights)
+            narrowed = (ratio * -(width**-2)).clamp_(min=FAINT).exp_().mul_(weights)
             total += narrowed.sum()
             kernel.add_(narrowed, alpha=width**-2)
         slope = torch.zeros_like(scale)
