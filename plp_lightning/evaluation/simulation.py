@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -86,7 +87,7 @@ def evaluate(
     _check_known(policy, simulator, trial.domain)
     tasks, seeds = trial.in_turn("evaluate", seed, episodes)
     faults, watching = list[SimulatorError](), [*metrics, *observers]
-    actor = policy.actor(trial.domain, tasks)
+    actor = where_it_acts(policy).actor(trial.domain, tasks)
     found = rollout(simulator, actor, tasks, seeds, observers=watching, on_fault=faults.append)
     if faults and found.invalid.all():
         cause, consequence = faults[0].__cause__ or faults[0], f"; no episode in domain {trial.domain!r} came to an end"
@@ -102,6 +103,13 @@ def _check_known(policy: Acting, simulator: Simulator, domain: str) -> None:
         if told := difference(policy.domains[domain].to_dict(), shown, "policy"):
             remedy = "take the simulator that it was trained for"
             raise ConfigError(f"domain {domain!r} has {told}, as its simulator has: {remedy}")
+
+
+def where_it_acts(policy: Acting) -> Acting:
+    """The policy, or a copy of it on the device that it acts fastest on."""
+    if not isinstance(policy, Policy) or next(policy.parameters()).device == policy.acts_on:
+        return policy
+    return copy.deepcopy(policy).to(policy.acts_on)
 
 
 def evaluate_all(

@@ -52,6 +52,11 @@ class Policy(Configured, nn.Module, ABC):
         """Domains in which its actions mean something; in the others it is not evaluated."""
         return tuple(self.domains)
 
+    @property
+    def acts_on(self) -> torch.device:
+        """Where it acts fastest: without images the way to a GPU and back costs more than a step on the processor."""
+        return next(self.parameters()).device if self.cameras else torch.device("cpu")
+
     @abstractmethod
     def predict_actions(self, observation: Observations, task: Parts) -> dict[str, Tensor]:
         """Actions ``(B_d, A_d)`` by domain.

@@ -1,17 +1,23 @@
 from __future__ import annotations
 
+import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+import tiny
+import torch
 
 from datamodules.streams import episode_seed
-from datamodules.types import Actor, Observation
+from datamodules.types import Actor, Observation, ObservationKey
 from plp_lightning.envs.rollout import Episodes
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate, evaluate_all
+from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate, evaluate_all, where_it_acts
 from plp_lightning.evaluation.statistics import success_interval
+from plp_lightning.methods import ContextualPolicy
+from plp_lightning.methods.plp import PortablePolicy
+from plp_lightning.methods.policy import Policy
 
 TASKS = LinearPoint(1).tasks.names
 
@@ -99,3 +105,40 @@ def test_outcomes_are_plain_data() -> None:
     plain = outcome.to_dict()
     assert json.loads(json.dumps(plain)) == plain
     assert plain == {"success": 0.5, "episodes": 4, "invalid": 1, "interval": list(outcome.interval)}
+
+
+DOMAINS = [tiny.spec("flat", 2, 2), tiny.spec("tall", 3, 2)]
+SEEN = [dataclasses.replace(DOMAINS[0], observation=(ObservationKey("eye", (8, 8, 3), "image"),)), DOMAINS[1]]
+
+
+class Carried(PortablePolicy):
+    """Notes where it is brought; nothing can be brought from torch's "meta" device, a GPU's stand-in."""
+
+    brought: torch.device | None = None
+
+    def to(self, device: torch.device) -> Carried:  # type: ignore[override]
+        self.brought = device
+        return self
+
+
+def test_without_cameras_a_policy_on_a_gpu_acts_by_a_copy_on_the_processor() -> None:
+    with torch.device("meta"):
+        trained = Carried(tiny.problem(DOMAINS, TASKS), latent=8, hidden=16)
+    acting = where_it_acts(trained)
+    assert isinstance(acting, Carried)
+    assert (acting.brought, trained.brought) == (torch.device("cpu"), None)
+    here = PortablePolicy(tiny.problem(DOMAINS, TASKS), latent=8, hidden=16)
+    assert where_it_acts(here) is here
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: Carried(tiny.problem(SEEN, TASKS), latent=8, hidden=16),
+        lambda: ContextualPolicy(tiny.problem(DOMAINS, TASKS), 16, 4, 1, 1, feed_forward=32),
+    ],
+)
+def test_policies_that_see_or_remember_act_where_they_are_trained(build: Callable[[], Policy]) -> None:
+    with torch.device("meta"):
+        trained = build()
+    assert where_it_acts(trained) is trained

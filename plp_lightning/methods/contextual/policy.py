@@ -76,6 +76,10 @@ class ContextualPolicy(Policy):
     def acts_in(self) -> tuple[str, ...]:
         return (self.target.name,)  # in the source domain it is only shown what to do
 
+    @property
+    def acts_on(self) -> torch.device:
+        return self.head.weight.device  # a step looks at a whole demonstration
+
     def forward(self, demonstrations: PackedTrajectories, episodes: PackedTrajectories) -> Tensor:
         """Actions ``(F, A)`` for all F frames of P episodes, each from what has been seen so far.
 
