@@ -56,13 +56,13 @@ class StepCapture:
     """Captures the step of each layout of batches when it is first asked for.
 
     Args:
-        trainer: Its module is a phase, on a GPU.
-        loader: The phase's batches, from tables on that GPU.
+        trainer: Its module is a phase, on a GPU, and its batches come from tables that lie there.
     """
 
-    def __init__(self, trainer: Trainer, loader: FixedLoader) -> None:
-        phase, optimizer = trainer.lightning_module, trainer.optimizers[0]
+    def __init__(self, trainer: Trainer) -> None:
+        phase, optimizer, loader = trainer.lightning_module, trainer.optimizers[0], trainer.train_dataloader
         assert isinstance(phase, Phase)
+        assert isinstance(loader, FixedLoader)
         self.trainer, self.loader, self.phase, self.optimizer = trainer, loader, phase, optimizer
         self.steps: dict[Layout, CapturedStep] = {}
         self.places = self._places()
@@ -173,13 +173,15 @@ def _listening(phase: Phase[Any], heard: list[Logged]) -> Iterator[None]:
         del phase.log, phase.logs_always
 
 
-def can_capture(trainer: Trainer) -> bool:
-    """Tell whether a GPU can take the steps of the trainer's phase as graphs."""
+def obstacle(trainer: Trainer) -> str:
+    """What keeps a GPU from taking the steps of the trainer's phase as graphs; empty if nothing does."""
     schedulers = [config.scheduler for config in trainer.lr_scheduler_configs]
-    cycled = any(isinstance(scheduler, OneCycleLR | CyclicLR) for scheduler in schedulers)  # more than rates change
-    watched = torch.is_anomaly_enabled()
-    return (
-        isinstance(trainer.lightning_module, Phase)
-        and isinstance(trainer.optimizers[0], Adam)
-        and not (cycled or watched)
-    )
+    cycled = any(isinstance(scheduler, OneCycleLR | CyclicLR) for scheduler in schedulers)
+    obstacles = {
+        "it is no phase of this project": not isinstance(trainer.lightning_module, Phase),
+        "its tables, or images, do not lie on the GPU": not isinstance(trainer.train_dataloader, FixedLoader),
+        "its optimizer is none of Adam's family": not isinstance(trainer.optimizers[0], Adam),
+        "its schedule changes more than rates": cycled,
+        "anomalies are looked for": torch.is_anomaly_enabled(),
+    }
+    return next((told for told, stands in obstacles.items() if stands), "")

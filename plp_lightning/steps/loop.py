@@ -19,7 +19,7 @@ from datamodules.batches.fixed import FixedLoader, Selection
 from datamodules.words import visible
 from plp_lightning.methods.phase import Phase
 from plp_lightning.steps.bare import bare_step, takes_bare_steps
-from plp_lightning.steps.capture import CaptureError, StepCapture, can_capture
+from plp_lightning.steps.capture import CaptureError, StepCapture, obstacle
 
 STARTS, ENDS = "on_train_batch_start", "on_train_batch_end"
 INSIDE = ("on_before_zero_grad", "on_before_backward", "on_after_backward", "on_before_optimizer_step")
@@ -103,10 +103,18 @@ class Steps(_AutomaticOptimization):
         inside = any(_overrides(callback, name) for callback in trainer.callbacks for name in INSIDE)  # type: ignore[attr-defined]
         profiled = type(trainer.profiler) is not PassThroughProfiler  # type: ignore[attr-defined]
         self.bare = takes_bare_steps(trainer) and not (inside or profiled)
-        loader = trainer.train_dataloader
-        if self.capture and self.bare and isinstance(loader, FixedLoader) and can_capture(trainer):
-            self.graphs = self.graphs or StepCapture(trainer, loader)
-            self.graphs.forget_if_moved()
+        if self.capture and (
+            isinstance(trainer.train_dataloader, FixedLoader) or trainer.strategy.root_device.type == "cuda"
+        ):
+            self._prepare_graphs()
+
+    def _prepare_graphs(self) -> None:
+        told = obstacle(self.trainer) if self.bare else "callbacks, hooks or a profiler look into steps"
+        if told:
+            return self._take_single_steps(told)
+        self.graphs = self.graphs or StepCapture(self.trainer)
+        self.graphs.forget_if_moved()
+        return None
 
     def take(self, batch: Any, batch_idx: int) -> Tensor:
         """Take a step with nothing around it; gives its loss, a scalar."""
@@ -138,10 +146,15 @@ class Steps(_AutomaticOptimization):
             if self.graphs is not None:
                 self.graphs.prepare(selection)
         except CaptureError as error:
-            name, told = type(self.trainer.lightning_module).__name__, visible(str(error))
-            print(f"plp: {name}: its steps are launched piece by piece, not as CUDA graphs: {told}", file=sys.stderr)
-            self.graphs, self.capture = None, False
+            self._take_single_steps(str(error))
         return self.graphs
+
+    def _take_single_steps(self, why: str) -> None:
+        name = type(self.trainer.lightning_module).__name__
+        print(
+            f"plp: {name}: its steps are launched piece by piece, not as CUDA graphs: {visible(why)}", file=sys.stderr
+        )
+        self.graphs, self.capture = None, False
 
     def _count(self) -> None:
         """Count what Lightning counts in a step; a checkpoint holds it."""

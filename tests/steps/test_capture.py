@@ -116,3 +116,19 @@ def test_a_step_that_cannot_be_captured_is_taken_piece_by_piece(
     told = "its steps are launched piece by piece, not as CUDA graphs: operation not permitted"
     assert [line.partition(told)[0] for line in answer.err.splitlines()] == ["plp: Alignment: ", "plp: Adaptation: "]
     assert same(trained(smoke_run(tmp_path / "refused")), trained(single))
+
+
+@pytest.mark.usefixtures("stand_in")
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        (["--alignment.optimizer", "torch.optim.SGD"], "its optimizer is none of Adam's family"),
+        (["--trainer.profiler", "simple"], "callbacks, hooks or a profiler look into steps"),
+        (["--trainer.detect_anomaly", "true"], "anomalies are looked for"),
+    ],
+)
+def test_what_keeps_steps_from_being_graphs_is_told_once(option: list[str], told: str, tmp_path: Path) -> None:
+    answer = plp("fit", *tiny_smoke(tmp_path), *GRAPHS, *option)
+    assert answer.code == 0, answer
+    lines = [line for line in answer.err.splitlines() if line.startswith("plp: Alignment: ")]
+    assert [line.rpartition("graphs: ")[2] for line in lines] == [told]
