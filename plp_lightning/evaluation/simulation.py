@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -16,7 +15,7 @@ from plp_lightning.envs.faults import SimulatorError, tell_once
 from plp_lightning.envs.rollout import Episodes, Observer, rollout
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.statistics import success_interval
-from plp_lightning.methods.policy import Policy
+from plp_lightning.methods.policy import Policy, where_it_acts
 
 
 class Acting(Protocol):
@@ -103,13 +102,6 @@ def _check_known(policy: Acting, simulator: Simulator, domain: str) -> None:
         if told := difference(policy.domains[domain].to_dict(), shown, "policy"):
             remedy = "take the simulator that it was trained for"
             raise ConfigError(f"domain {domain!r} has {told}, as its simulator has: {remedy}")
-
-
-def where_it_acts(policy: Acting) -> Acting:
-    """The policy, or a copy of it on the device that it acts fastest on."""
-    if not isinstance(policy, Policy) or next(policy.parameters()).device == policy.acts_on:
-        return policy
-    return copy.deepcopy(policy).to(policy.acts_on)
 
 
 def evaluate_all(

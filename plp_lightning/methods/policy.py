@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -16,6 +18,7 @@ from datamodules.settings import Configured
 from datamodules.types import Actor, Observation
 from plp_lightning.networks import Vision
 
+A = TypeVar("A")
 Parts = Mapping[str, Tensor]
 """One tensor by domain, with as many rows as the domain has in the batch."""
 Raw = Observation[np.ndarray] | Mapping[str, np.ndarray]
@@ -117,6 +120,13 @@ class Policy(Configured, nn.Module, ABC):
             raise ConfigError(f"found {found}; expected (n, {size}): act on what the policy was trained on")
         seen = {domain: observation.map(lambda x: torch.as_tensor(x, device=ids.device))}
         return np.asarray(self.predict_actions(seen, {domain: ids})[domain].cpu())
+
+
+def where_it_acts(actor: A) -> A:
+    """Gives a policy, or a copy of it on the device that it acts fastest on; whatever else acts is where it is."""
+    if not isinstance(actor, Policy) or next(actor.parameters()).device == actor.acts_on:
+        return actor
+    return copy.deepcopy(actor).to(actor.acts_on)
 
 
 class AligningPolicy(Policy):

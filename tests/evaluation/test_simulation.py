@@ -13,11 +13,11 @@ from datamodules.streams import episode_seed
 from datamodules.types import Actor, Observation, ObservationKey
 from plp_lightning.envs.rollout import Episodes
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate, evaluate_all, where_it_acts
+from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate, evaluate_all
 from plp_lightning.evaluation.statistics import success_interval
 from plp_lightning.methods import ContextualPolicy
 from plp_lightning.methods.plp import PortablePolicy
-from plp_lightning.methods.policy import Policy
+from plp_lightning.methods.policy import Policy, where_it_acts
 
 TASKS = LinearPoint(1).tasks.names
 

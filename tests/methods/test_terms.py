@@ -67,9 +67,10 @@ def test_thin_terms_are_their_functions_with_a_weight_beside(data: TransferDataM
     torch.testing.assert_close(loss, mmd([*batch.latent.values()], False, (1.0, 0.2)))
     assert weight == 0.3
     (u, of_u), (v, of_v) = ((batch.pair_latent[d][s.frame], s.mask) for d, s in batch.pairs.items())
-    ((loss, weight),) = TCC(policy, 0.7)(batch).values()
-    torch.testing.assert_close(loss, tcc(u, of_u, v, of_v))
-    assert weight == 0.7
+    for reduction in ("mean", "sum"):
+        ((loss, weight),) = TCC(policy, 0.7, reduction=reduction)(batch).values()
+        torch.testing.assert_close(loss, tcc(u, of_u, v, of_v, reduction=reduction))
+        assert weight == 0.7
 
 
 def test_the_discriminator_has_the_sizes_asked_for_and_counts_fully(data: TransferDataModule) -> None:

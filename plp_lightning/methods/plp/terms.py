@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -108,20 +108,25 @@ class TCC(AlignmentTerm):
         policy: The policy that is aligned.
         weight: λ_TCC.
         similarity: First softmax: distances as printed in the paper, squared, or squared and scaled.
+        reduction: Over the frames of a trajectory; the paper prints a sum, by which long ones weigh more.
     """
 
     needs_pairs = True
 
     def __init__(
-        self, policy: PortablePolicy, weight: NonNegativeFloat = 0.2, similarity: Similarity = "distance"
+        self,
+        policy: PortablePolicy,
+        weight: NonNegativeFloat = 0.2,
+        similarity: Similarity = "distance",
+        reduction: Literal["mean", "sum"] = "mean",
     ) -> None:
         super().__init__(policy)
-        self.weight, self.similarity = weight, similarity
+        self.weight, self.similarity, self.reduction = weight, similarity, reduction
 
     def forward(self, batch: EncodedBatch) -> dict[str, tuple[Tensor, float]]:
         (first, one), (second, other) = ((batch.pair_latent[d], pairs) for d, pairs in batch.pairs.items())
         first, second = by_trajectory(one, first), by_trajectory(other, second)
-        loss = tcc(first, one.mask, second, other.mask, self.similarity)
+        loss = tcc(first, one.mask, second, other.mask, self.similarity, self.reduction)
         return {"tcc": (loss, self.weight)}
 
 

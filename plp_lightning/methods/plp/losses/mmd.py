@@ -11,8 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from plp_lightning.methods.plp.losses.distance import full_precision, inverse_distance
 
-FAINT = -60.0
-"""Exponent below which a kernel adds nothing to a float32 sum; a processor is 50 times slower where floats end."""
+FAINT = -60.0  # Lower exponents add nothing in float32, and a processor is 50 times slower where floats end
 
 
 def mmd(latents: Sequence[Tensor], scale_gradient: bool = True, bandwidths: Sequence[float] = (1.0,)) -> Tensor:
@@ -98,12 +97,11 @@ class _KernelSum(torch.autograd.Function):
         # All points in one place: the kernel is 1 and the slope 0.
         scale = torch.where(mean > 0, 1 / mean, 0)
         ratio = squared.mul_(scale.square())  # s / m²; from here on no distance has a unit
-        total, kernel = torch.zeros_like(mean), torch.zeros_like(ratio)
+        total, kernel, slope = torch.zeros_like(mean), torch.zeros_like(ratio), torch.zeros_like(scale)
         for width in bandwidths:
             narrowed = (ratio * -(width**-2)).clamp_(min=FAINT).exp_().mul_(weights)
             total += narrowed.sum()
             kernel.add_(narrowed, alpha=width**-2)
-        slope = torch.zeros_like(scale)
         if scale_gradient:
             slope = torch.dot(kernel.flatten(), ratio.flatten()) * scale / pairs
         ctx.save_for_backward(points, kernel, inverse, scale, slope)
