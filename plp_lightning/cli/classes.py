@@ -22,7 +22,7 @@ from plp_lightning.networks import ImageEncoderFactory
 
 ALLOWED_IMPORTS = [
     *("plp_lightning", "datamodules", "torchmetrics", "torch.optim"),
-    *("lightning.pytorch.callbacks", "lightning.pytorch.loggers"),
+    *("lightning.pytorch.callbacks", "lightning.pytorch.loggers", "gymnasium", "gymnasium_robotics"),
 ]
 """Packages that a configuration may import from; a file that names another is refused before the import happens."""
 ROOTS = (
@@ -44,13 +44,18 @@ def find_class(name: str, allowed: Sequence[str]) -> type | None:
     module, _, short = name.rpartition(".")
     if not module:
         return next((kind for kind in known_classes() if kind.__name__ == short), None)
-    if not any(module == package or module.startswith(f"{package}.") for package in allowed):
+    if not is_allowed(module, allowed):
         return None
     try:
         found = getattr(importlib.import_module(module), short, None)
     except ImportError:
         return None
     return found if isinstance(found, type) else None
+
+
+def is_allowed(module: str, allowed: Sequence[str]) -> bool:
+    """Tell whether a module is one of the allowed packages, or in one."""
+    return any(module == package or module.startswith(f"{package}.") for package in allowed)
 
 
 def defaults(kind: type) -> dict[str, Any]:

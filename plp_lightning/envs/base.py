@@ -24,6 +24,8 @@ class Step(NamedTuple):
     """``(n,)`` bool: the task is solved in this state."""
     invalid: np.ndarray
     """``(n,)`` bool: the simulation diverged or the action was not finite; the episode is over."""
+    over: np.ndarray | None = None
+    """``(n,)`` bool: the episode has ended, for whatever reason; None if time alone ends episodes."""
 
 
 class Simulator(Configured, ABC):
@@ -38,6 +40,8 @@ class Simulator(Configured, ABC):
     """Control steps after which an unsolved episode counts as failed."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Modules that it imports at its first reset, and that the core of this project goes without."""
+    imports: tuple[str, ...] = ()
+    """Packages of others that it imports; a configuration may name those alone that its user allows."""
     threads: int = 0
     """Threads that step physics; 0 means one for each core. May be set until the first reset."""
 

@@ -86,7 +86,7 @@ def check_step(simulator: object, found: Step, spec: DomainSpec, count: int) -> 
     if not isinstance(found, Step):
         raise UserError(f"{type(simulator).__name__}.step gives {type(found).__name__}; expected a Step: mend it")
     check_observation(simulator, found.observation, spec, count)
-    for name in ("success", "invalid"):
+    for name in ("success", "invalid") if found.over is None else ("success", "invalid", "over"):
         _expect(simulator, name, getattr(found, name), (count,), np.bool_)
     lost = ~np.isfinite(found.observation.state).all(axis=1)
     return found._replace(invalid=found.invalid | lost) if lost.any() else found

@@ -82,8 +82,9 @@ def rollout(
             observer.step(actions, step, running)
         solved_at[running[step.success]] = np.minimum(solved_at[running[step.success]], t)
         invalid[running] = step.invalid
-        goes_on = ~step.invalid & (t < solved_at[running] + hold_steps)
-        steps[running[step.invalid]] = t
+        stopped = step.invalid if step.over is None else step.invalid | step.over
+        goes_on = ~stopped & (t < solved_at[running] + hold_steps)
+        steps[running[stopped]] = t
         running, observation = running[goes_on], step.observation.take(goes_on)
         if len(running) == 0:
             break

@@ -65,7 +65,7 @@ def replay(simulator: Simulator, task: str, seed: int, actions: np.ndarray, size
     frames = [_seen(simulator, observation, size)]
     for t, action in enumerate(actions, 1):
         with blaming(simulator):
-            observation, success, _ = simulator.step(action[None], ONLY)
+            observation, success = simulator.step(action[None], ONLY)[:2]
         if t % every == 0 or t == len(actions):
             frames.append(_seen(simulator, observation, size))
             _check_shape(simulator, frames[-1].shape, frames[0].shape)

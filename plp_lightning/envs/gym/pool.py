@@ -1,0 +1,130 @@
+"""Episodes shared out to processes, which step their shares at the same time."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import traceback
+import weakref
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from datamodules.errors import UserError
+from datamodules.types import Observation
+from plp_lightning.envs.gym.share import Moved, Recipe, Share
+
+
+class Pool:
+    """So many processes with a share of the episodes each; episode i is in share i modulo their number.
+
+    One share alone stays in this process.
+
+    Args:
+        recipe: Makes environments.
+        count: Number of shares.
+    """
+
+    def __init__(self, recipe: Recipe, count: int) -> None:
+        self.shares: list[Share | Connection] = (
+            [Share(recipe)] if count == 1 else [_begun(recipe) for _ in range(count)]
+        )
+        weakref.finalize(self, _close, self.shares)
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Begin E episodes; gives their first observations ``(E, …)``."""
+        count = len(self.shares)
+        words = [(list(tasks[i::count]), list(seeds[i::count])) for i in range(count)]
+        parts = self._ask("reset", {i: asked for i, asked in enumerate(words) if asked[0]})
+        return _merged(parts, np.arange(len(tasks)) % count)
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Moved:
+        """Take a step in the episodes ``(n,)``, with actions ``(n, A)``."""
+        share = episodes % len(self.shares)
+        parts = self._ask("step", {i: (actions[share == i], self._places(episodes, i)) for i in np.unique(share)})
+        success, over = np.empty(len(share), bool), np.empty(len(share), bool)
+        for i, moved in parts.items():
+            success[share == i], over[share == i] = moved.success, moved.over
+        return Moved(_merged({i: moved.observation for i, moved in parts.items()}, share), success, over)
+
+    def render(self, episodes: np.ndarray) -> np.ndarray:
+        """Pictures ``(n, H, W, 3)`` of the episodes ``(n,)``."""
+        share = episodes % len(self.shares)
+        parts = self._ask("render", {i: (self._places(episodes, i),) for i in np.unique(share)})
+        drawn = {i: iter(pictures) for i, pictures in parts.items()}
+        return np.stack([next(drawn[i]) for i in share])
+
+    def _places(self, episodes: np.ndarray, share: int) -> np.ndarray:
+        count = len(self.shares)
+        places: np.ndarray = episodes[episodes % count == share] // count
+        return places
+
+    def _ask(self, what: str, words: dict[int, tuple[Any, ...]]) -> dict[int, Any]:
+        """Ask shares, all at once, for what they do; gives their answers."""
+        asked = {i: self.shares[i] for i in words}
+        for i, share in asked.items():
+            if isinstance(share, Connection):
+                with contextlib.suppress(OSError):  # whether it died shows when it is listened to
+                    share.send((what, words[i]))
+        return {
+            i: _answer(share) if isinstance(share, Connection) else getattr(share, what)(*words[i])
+            for i, share in asked.items()
+        }
+
+
+def _merged(parts: dict[int, Observation[np.ndarray]], share: np.ndarray) -> Observation[np.ndarray]:
+    """Rows of all shares ``(n,)`` in their order."""
+    places = np.argsort(np.argsort(share, kind="stable"), kind="stable")
+    whole = [parts[i] for i in sorted(parts)]
+    images = {name: np.concatenate([part.images[name] for part in whole])[places] for name in whole[0].images}
+    return Observation(np.concatenate([part.state for part in whole])[places], images)
+
+
+def _begun(recipe: Recipe) -> Connection:
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    context.Process(target=_serve, args=(there, recipe), daemon=True).start()
+    there.close()
+    return here
+
+
+def _close(shares: Sequence[Share | Connection]) -> None:
+    for share in shares:
+        if isinstance(share, Connection):
+            share.close()  # its process hears the end of the line
+
+
+def _answer(share: Connection) -> Any:
+    try:
+        found = share.recv()
+    except (EOFError, OSError) as error:
+        raise RuntimeError("a process that steps environments has died") from error
+    if isinstance(found, BaseException):
+        raise found
+    return found
+
+
+def _serve(connection: Connection, recipe: Recipe) -> None:
+    """Do what is asked for until the other end is closed, in a process of its own."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+        signal.signal(number, signal.SIG_IGN)  # the parent hears them
+    share = Share(recipe)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            what, words = connection.recv()
+            connection.send(_done(share, what, words))
+    os._exit(0)
+
+
+def _done(share: Share, what: str, words: tuple[Any, ...]) -> Any:
+    try:
+        return getattr(share, what)(*words)
+    except UserError as error:
+        return UserError(str(error))
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return RuntimeError(f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})")

@@ -1,0 +1,149 @@
+"""A share of the episodes of a simulator, each in an environment of its own, stepped one after the other."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from datamodules.errors import ConfigError, UserError
+from datamodules.types import Observation
+from plp_lightning.envs.gym.spaces import ActionRange, Leaf, find_leaves, gather_images, gather_state
+from plp_lightning.envs.rendering.backend import choose_backend
+
+
+class Moved(NamedTuple):
+    """What a control step brought, a row for each episode."""
+
+    observation: Observation[np.ndarray]
+    success: np.ndarray  # (n,) bool
+    over: np.ndarray  # (n,) bool: the environment has ended the episode
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that it takes to make environments and to read what they show; plain data, for other processes."""
+
+    env: str
+    make: Mapping[str, Any]
+    tasks: Mapping[str, Mapping[str, Mapping[str, Any]]]  # arguments to make and reset by, by task
+    success: str | float | None
+    keys: tuple[str, ...] | None
+
+    def build(self, task: str) -> Any:
+        """A new environment for a task.
+
+        Raises:
+            ConfigError: If Gymnasium makes none of these words.
+        """
+        with contextlib.suppress(UserError):  # before MuJoCo is imported; without OpenGL nothing is drawn
+            choose_backend()
+        import gymnasium
+
+        module, _, name = self.env.rpartition(":")
+        words = {**self.make, **self.tasks[task].get("make", {})}
+        try:
+            factory = getattr(importlib.import_module(module), name, None) if module else None
+            if factory is not None:
+                return factory(**words)
+            return _with_pictures(gymnasium, name, words)
+        except (ImportError, TypeError, gymnasium.error.Error) as error:
+            told = " ".join(str(error).split())
+            raise ConfigError(f"environment {self.env!r} can't be made of {words}: {told}; mend env or make") from error
+
+
+def _with_pictures(gymnasium: Any, name: str, words: Mapping[str, Any]) -> Any:
+    """Ask for an environment that can be drawn; one that can't is taken as it is."""
+    if "render_mode" in words:
+        return gymnasium.make(name, disable_env_checker=True, **words)
+    try:
+        return gymnasium.make(name, disable_env_checker=True, render_mode="rgb_array", **words)
+    except (TypeError, gymnasium.error.Error):
+        return gymnasium.make(name, disable_env_checker=True, **words)
+
+
+class Share:
+    """Episodes of one process.
+
+    Environments are kept for later episodes of the same task: making one may cost more than an episode.
+
+    Args:
+        recipe: Makes them.
+    """
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        self.free: dict[str, list[Any]] = defaultdict(list)  # by task
+        self.envs: list[tuple[str, Any]] = []  # of each episode, with its task
+        self.last: list[Any] = []
+        self.over = np.zeros(0, bool)
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Begin episodes; gives their first observations."""
+        for task, env in self.envs:
+            self.free[task].append(env)
+        self.envs = [(task, self._env(task)) for task in tasks]
+        self.over = np.zeros(len(tasks), bool)
+        self.last = [
+            env.reset(seed=seed, options=dict(self.recipe.tasks[task].get("reset", {})) or None)[0]
+            for (task, env), seed in zip(self.envs, seeds, strict=True)
+        ]
+        return self._observed(range(len(tasks)))
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Moved:
+        """Take a step with actions ``(n, A)`` in the episodes ``(n,)``; those that are over stay as they are."""
+        solved = [self._step(action, i) for action, i in zip(actions, episodes, strict=True)]
+        return Moved(self._observed(episodes), np.array(solved, bool), self.over[episodes])
+
+    def render(self, episodes: np.ndarray) -> list[np.ndarray]:
+        """Pictures ``(H, W, 3)`` of the episodes ``(n,)``, of the environments' own size."""
+        pictures = [self.envs[i][1].render() for i in episodes]
+        if any(picture is None for picture in pictures):
+            raise ConfigError(f"environment {self.recipe.env!r} draws nothing; expected render_mode 'rgb_array'")
+        return [np.asarray(picture, np.uint8) for picture in pictures]
+
+    def _env(self, task: str) -> Any:
+        return self.free[task].pop() if self.free[task] else self.recipe.build(task)
+
+    def _step(self, action: np.ndarray, episode: int) -> bool:
+        if self.over[episode] or not np.isfinite(action).all():
+            return False
+        _, env = self.envs[episode]
+        self.last[episode], reward, terminated, truncated, info = env.step(self._actions.own(action))
+        self.over[episode] = terminated or truncated
+        return self._solved(float(reward), bool(terminated), info)
+
+    def _solved(self, reward: float, terminated: bool, info: Mapping[str, Any]) -> bool:
+        wanted = self.recipe.success
+        if wanted is None:
+            return bool(info.get("is_success", info.get("success", terminated)))
+        if isinstance(wanted, float | int):
+            return reward >= wanted
+        if wanted == "terminated":
+            return terminated
+        if wanted not in info:
+            known = f"info has {', '.join(map(str, info)) or 'nothing'}"
+            told = "expected a name there, 'terminated', or a number that the reward reaches"
+            raise ConfigError(f"Gymnasium.success is {wanted!r}; {known}: {told}")
+        return bool(info[wanted])
+
+    def _observed(self, episodes: Iterable[int]) -> Observation[np.ndarray]:
+        seen = [self.last[i] for i in episodes]
+        images = [gather_images(self._leaves, one) for one in seen]
+        cameras = [leaf.key for leaf in self._leaves if leaf.key.kind == "image"]
+        stacked = {key.name: np.stack([image[key.name] for image in images]) for key in cameras}
+        return Observation(np.stack([gather_state(self._leaves, one) for one in seen]), stacked)
+
+    @cached_property
+    def _leaves(self) -> tuple[Leaf, ...]:
+        return find_leaves(self.envs[0][1].observation_space, self.recipe.keys)
+
+    @cached_property
+    def _actions(self) -> ActionRange:
+        return ActionRange.of(self.envs[0][1].action_space)

@@ -1,0 +1,107 @@
+"""Observations and actions of a Gymnasium environment as arrays of this project: keys by name, actions in [-1, 1]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from datamodules.errors import ConfigError
+from datamodules.types import ObservationKey
+
+if TYPE_CHECKING:
+    import gymnasium
+
+CHANNELS = (1, 3, 4)
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """A space without parts, somewhere in an observation space."""
+
+    path: tuple[str | int, ...]  # Names, or positions in tuples, on the way to it; empty if it is the whole observation
+    key: ObservationKey
+
+    def of(self, observation: Any) -> Any:
+        """Its value in an observation."""
+        for step in self.path:
+            observation = observation[step]
+        return observation
+
+
+def find_leaves(space: gymnasium.Space[Any], shown: Sequence[str] | None) -> tuple[Leaf, ...]:
+    """The keys that an observation space has, named as an import from Minari names them: ``a.b`` for b in a.
+
+    Args:
+        space: Of boxes and whole numbers, and of dictionaries and tuples of them.
+        shown: Names of those that are wanted, in their order; all that are numbers if not given.
+
+    Raises:
+        ConfigError: If a name is unknown, or there is nothing to show.
+    """
+    found = {leaf.key.name: leaf for leaf in _leaves(space, ())}
+    for name in shown if shown is not None else ():
+        if name not in found:
+            raise ConfigError(f"Gymnasium.keys names {name!r}; the environment shows: {', '.join(found) or 'nothing'}")
+    leaves = tuple(found[name] for name in (shown if shown is not None else found))
+    if not leaves:
+        raise ConfigError(f"the environment's observations are {space}; expected boxes of numbers, or some by name")
+    return leaves
+
+
+def _leaves(space: Any, path: tuple[str | int, ...]) -> Iterator[Leaf]:
+    from gymnasium import spaces
+
+    name = ".".join(map(str, path)) or "observation"
+    if isinstance(space, spaces.Dict):
+        for key, part in space.spaces.items():
+            yield from _leaves(part, (*path, key))
+    elif isinstance(space, spaces.Tuple):
+        for position, part in enumerate(space.spaces):
+            yield from _leaves(part, (*path, position))
+    elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and space.shape[2:] in [(c,) for c in CHANNELS]:
+        yield Leaf(path, ObservationKey(name, space.shape, "image"))
+    elif isinstance(space, spaces.Box | spaces.MultiBinary | spaces.Discrete | spaces.MultiDiscrete):
+        yield Leaf(path, ObservationKey(name, (int(np.prod(space.shape or ())),)))
+
+
+@dataclass(frozen=True)
+class ActionRange:
+    """What -1 and 1 stand for in an environment's actions, ``(A,)`` each."""
+
+    low: np.ndarray
+    high: np.ndarray
+    shape: tuple[int, ...] = field(default=())  # The environment's own shape of an action
+
+    @classmethod
+    def of(cls, space: gymnasium.Space[Any]) -> ActionRange:
+        """The range of an action space.
+
+        Raises:
+            ConfigError: If it is no box with finite limits.
+        """
+        from gymnasium import spaces
+
+        if not isinstance(space, spaces.Box) or not np.isfinite([space.low, space.high]).all():
+            expected = "a box with finite limits: wrap it, by gymnasium.wrappers.RescaleAction for one"
+            raise ConfigError(f"the environment's actions are {space}; expected {expected}")
+        return cls(space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64), space.shape)
+
+    def own(self, action: np.ndarray) -> np.ndarray:
+        """Action ``(A,)``, clipped to [-1, 1], as the environment takes it."""
+        middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
+        scaled: np.ndarray = (middle + half * np.clip(action, -1, 1)).reshape(self.shape)
+        return scaled.astype(np.float32)
+
+
+def gather_state(leaves: Sequence[Leaf], observation: Any) -> np.ndarray:
+    """State ``(O,)`` of an observation."""
+    parts = [np.ravel(leaf.of(observation)) for leaf in leaves if leaf.key.kind == "state"]
+    return np.concatenate(parts).astype(np.float32) if parts else np.zeros(0, np.float32)
+
+
+def gather_images(leaves: Sequence[Leaf], observation: Any) -> Mapping[str, np.ndarray]:
+    """Images ``(H, W, C)`` of an observation by name."""
+    return {leaf.key.name: np.asarray(leaf.of(observation)) for leaf in leaves if leaf.key.kind == "image"}
