@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,9 @@ from datamodules.store.atomic import locked_folder, replacing, write_atomically
 class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Keeps every episode of an environment in a file of its own in ``folder``, complete as soon as it is over.
 
-    Observations are an array, or a dictionary of arrays; the last one of T + 1 is kept too. An episode that is reset
-    before it ends is not kept, one that ends with ``info["is_success"]`` or ``info["success"]`` counts as solved, and
-    where ``info`` has neither, one that terminates.
+    Observations are an array, or dictionaries and tuples of arrays; the last one of T + 1 is kept too. An episode that
+    is reset before it ends is not kept, one that ends with ``info["is_success"]`` or ``info["success"]`` counts as
+    solved, and where ``info`` has neither, one that terminates.
 
     Args:
         env: The environment; its actions are vectors.
@@ -60,7 +61,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation, reward, terminated, truncated, info
 
     def _keep(self, success: bool) -> None:
-        seen = [one if isinstance(one, dict) else {"observation": one} for one in self.seen]
+        seen = [dict(_numbers(one)) for one in self.seen]
         with locked_folder(self.folder):
             last = max((int(path.stem[8:]) for path in self.folder.glob("episode_*.hdf5")), default=-1)
             path = self.folder / f"episode_{last + 1:06d}.hdf5"
@@ -70,3 +71,13 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
                     file.create_dataset(f"observations/{key}", data=rows, compression="gzip" if rows.ndim > 2 else None)
                 file["actions"] = np.stack(self.actions)
                 file.attrs.update({**self.told, "success": success})
+
+
+def _numbers(observation: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Arrays of an observation by name, ``a.b`` for b in a; what are no numbers, such as texts, are left aside."""
+    if isinstance(observation, dict | tuple):
+        parts = observation.items() if isinstance(observation, dict) else enumerate(observation)
+        for key, part in parts:
+            yield from _numbers(part, f"{name}.{key}" if name else str(key))
+    elif (array := np.atleast_1d(observation)).dtype.kind in "biuf":
+        yield name or "observation", array

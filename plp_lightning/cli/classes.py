@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from lightning.pytorch import Callback
@@ -12,6 +12,7 @@ from lightning.pytorch.loggers import Logger
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
+from datamodules.errors import ConfigError
 from plp_lightning.envs.base import Expert, Simulator
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
@@ -56,6 +57,15 @@ def find_class(name: str, allowed: Sequence[str]) -> type | None:
 def is_allowed(module: str, allowed: Sequence[str]) -> bool:
     """Tell whether a module is one of the allowed packages, or in one."""
     return any(module == package or module.startswith(f"{package}.") for package in allowed)
+
+
+def check_imports(simulators: Mapping[str, Simulator], allowed: Sequence[str]) -> None:
+    """Refuse simulators that would import what nobody allowed, before they do."""
+    for name, simulator in simulators.items():
+        for module in simulator.imports:
+            if not is_allowed(module, allowed):
+                told = f"the simulator of domain {name!r} imports {module}; expected a package that you allow"
+                raise ConfigError(f"{told}: add --allow_imports {module.partition('.')[0]} if you trust it")
 
 
 def defaults(kind: type) -> dict[str, Any]:

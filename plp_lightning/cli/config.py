@@ -23,14 +23,14 @@ from datamodules.plain_yaml import dump_yaml, parse_yaml
 from datamodules.settings import PositiveInt, Seed, Threads
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.cli.building import build
-from plp_lightning.cli.classes import ALLOWED_IMPORTS, is_allowed
+from plp_lightning.cli.classes import ALLOWED_IMPORTS, check_imports
 from plp_lightning.cli.explanation import OURS, explain
 from plp_lightning.cli.layers import check_shape, completed, insert, overlay, with_encoder_class, without_spare_parts
 from plp_lightning.cli.loggers import listed, with_loggers
 from plp_lightning.cli.renamed import rename, rename_flag
 from plp_lightning.cli.yaml_files import Tree, read_value, read_yaml
 from plp_lightning.envs import experts  # noqa: F401
-from plp_lightning.envs.base import Domain, Simulator
+from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation import mixing  # noqa: F401
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.networks import ImageEncoderFactory
@@ -73,17 +73,8 @@ def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     if config.experiment is None:
         config.experiment = next(named, "unnamed")
     experiment = build(parser, config, found.dropped)
-    _check_imports(experiment.simulators, allowed)
+    check_imports(experiment.simulators, allowed)
     return experiment, found.changes
-
-
-def _check_imports(simulators: Mapping[str, Simulator], allowed: Sequence[str]) -> None:
-    """Refuse simulators that would import what nobody allowed, before they do."""
-    for name, simulator in simulators.items():
-        for module in simulator.imports:
-            if not is_allowed(module, allowed):
-                told = f"the simulator of domain {name!r} imports {module}; expected a package that you allow"
-                raise ConfigError(f"{told}: add --allow_imports {module.partition('.')[0]} if you trust it")
 
 
 def find_page(name: str) -> Path:

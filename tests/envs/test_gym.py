@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import pickle
 from pathlib import Path
@@ -10,13 +11,15 @@ from typing import Any
 import gym_worlds
 import numpy as np
 import pytest
-from command import SMOKE, complaint
+import yaml
+from command import ROOT, SMOKE, complaint, plp
 
 from datamodules.errors import UserError
 from datamodules.types import Observation
 from plp_lightning.envs import Gymnasium
 from plp_lightning.envs.faults import SimulatorError, blaming
 from plp_lightning.envs.rollout import Episodes, Observer, rollout
+from plp_lightning.recording import Recorder
 
 TASKS: dict[str, Any] = {goal: {"reset": {"goal": goal}} for goal in gym_worlds.GOALS}
 NAMES = [*TASKS, "east", "north", "east"]
@@ -194,3 +197,58 @@ def test_a_configuration_imports_no_package_that_is_not_allowed(tmp_path: Path) 
     told = complaint("fit", *SMOKE, "--config", page, "--data.target_task", "east")
     assert "the simulator of domain 'flat' imports gym_worlds" in told
     assert "--allow_imports gym_worlds" in told
+
+
+def test_tasks_by_name_alone_are_an_option_of_the_reset() -> None:
+    assert plate(tasks=["east", "west"]).recipe.tasks == {
+        "east": {"reset": {"task": "east"}},
+        "west": {"reset": {"task": "west"}},
+    }
+
+
+SETUP = {
+    "env": "gym_worlds:Plate-v0",
+    "threads": 1,
+    "tasks": {goal: {"reset": {"goal": goal, "task": goal}} for goal in gym_worlds.GOALS},
+}
+TURNS = {"flat": 0.0, "turned": 2.0}
+
+
+def record(env: Recorder, name: str, seed: int) -> None:
+    """A demonstration of a goal, to its end."""
+    env.reset(seed=seed, options={"goal": name, "task": name})
+    plate, over = env.unwrapped, False
+    assert isinstance(plate, gym_worlds.Plate)
+    while not over:
+        way = plate.goal * 1.3 - plate.point
+        action = (0.15 * way / max(float(np.linalg.norm(way)), 0.15)) @ plate.turned.T
+        over = any(env.step(action.astype(np.float32))[2:4])
+
+
+def recorded(folder: Path) -> Path:
+    """Demonstrations of both plates, recorded and imported."""
+    file = folder / "plates.hdf5"
+    for domain, turn in TURNS.items():
+        env = Recorder(gym_worlds.Plate(turn), folder / domain)
+        for i, name in enumerate([*TASKS] * 2):
+            record(env, name, i)
+        assert plp("data", "import", "gymnasium", folder / domain, "--domain", domain, "--out", file).code == 0
+    return file
+
+
+def test_two_environments_are_trained_on_and_filmed_by_a_page_alone(tmp_path: Path) -> None:
+    worlds = {
+        name: {"simulator": {"class_path": "Gymnasium", "init_args": {**SETUP, "make": {"turn": turn}}}}
+        for name, turn in TURNS.items()
+    }
+    data = {"file": str(recorded(tmp_path)), "source_domain": "flat", "target_domain": "turned", "target_task": "north"}
+    (tmp_path / "plates.yaml").write_text(yaml.safe_dump({"domains": worlds, "data": data}))
+    little = ["--config", ROOT / "tests" / "conf" / "tiny.yaml", "--run_root", tmp_path, "--data.trajectories", "null"]
+    few = ["--data.target_trajectories", "null", "--evaluation.final_episodes", "4", "--allow_imports", "gym_worlds"]
+    answer = plp("fit", "--config", tmp_path / "plates.yaml", *little, *few)
+    assert answer.code == 0, answer
+    run = tmp_path / "plates" / "plp" / "north" / "seed_0"
+    assert json.loads((run / "results.json").read_text())["target"]["episodes"] == 4
+    filmed = plp("rollout", run, "--allow_imports", "gym_worlds", "--episodes", "1", "--among", "2")
+    assert filmed.code == 0, filmed
+    assert len(list((run / "rollouts").glob("*.mp4"))) == 1

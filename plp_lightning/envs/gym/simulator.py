@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from plp_lightning.envs.gym.share import Recipe
 from plp_lightning.envs.gym.spaces import ActionRange, find_leaves
 from plp_lightning.envs.tasks import Tasks
 
+Setup = dict[str, dict[str, Any]]
 TASK_WORDS = ("make", "reset")
 
 
@@ -39,7 +40,7 @@ class Gymnasium(Simulator):
         env: Id of a registered environment, with the package that registers it before a colon, as in
             ``gymnasium_robotics:FetchReach-v4``; or a factory, ``my_package.arms:make_arm``.
         tasks: Tasks by name, each with the arguments that set it up: ``reset``, options of the reset, and ``make``,
-            arguments of the constructor.
+            arguments of the constructor. Names alone stand for resets with the option ``task``.
         make: Arguments of the constructor for all tasks.
         success: When a step has solved the task: the name of a truth value in the step's ``info``; ``terminated``; or a
             number that the step's reward reaches. If not given, ``is_success`` or ``success`` in ``info``, and where
@@ -58,7 +59,7 @@ class Gymnasium(Simulator):
     def __init__(
         self,
         env: str,
-        tasks: dict[str, dict[str, dict[str, Any]]],
+        tasks: list[str] | dict[str, Setup],
         make: dict[str, Any] | None = None,
         success: str | float | None = None,
         keys: list[str] | None = None,
@@ -66,8 +67,7 @@ class Gymnasium(Simulator):
         horizon: PositiveInt = 200,
         threads: NonNegativeInt = 0,
     ) -> None:
-        _check_tasks(tasks)
-        setups = {name: words or {} for name, words in tasks.items()}
+        setups = _setups(tasks)
         self.recipe = Recipe(env, make or {}, setups, success, None if keys is None else tuple(keys))
         self.control_hz, self.horizon, self.threads = control_hz, horizon, threads
         self.imports = tuple(filter(None, [env.rpartition(":")[0]]))
@@ -116,10 +116,14 @@ def _control_hz(env: Any) -> float:
     return float(found)
 
 
-def _check_tasks(tasks: dict[str, dict[str, dict[str, Any]]]) -> None:
+def _setups(tasks: Sequence[str] | Mapping[str, Setup]) -> Mapping[str, Setup]:
+    """What sets up each task; refuses, by a :class:`ConfigError`, other words than :data:`TASK_WORDS`."""
     if not tasks:
-        raise ConfigError("Gymnasium.tasks is empty; expected tasks by name, each with its reset or make arguments")
+        raise ConfigError("Gymnasium.tasks is empty; expected names, or reset and make arguments by name")
+    if not isinstance(tasks, Mapping):
+        return {name: {"reset": {"task": name}} for name in tasks}
     for name, words in tasks.items():
         for word in words or {}:
             if word not in TASK_WORDS:
                 raise ConfigError(f"task {name!r} is set up by {word!r}; expected {' or '.join(TASK_WORDS)}")
+    return {name: words or {} for name, words in tasks.items()}

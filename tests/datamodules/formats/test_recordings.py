@@ -119,3 +119,25 @@ def test_a_damaged_recording_is_named(tmp_path: Path) -> None:
 def test_a_discrete_environment_is_refused_when_it_is_wrapped(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"found actions of Discrete\(2\); expected a Box"):
         Recorder(gymnasium.make("CartPole-v1"), tmp_path / "rec")
+
+
+class Mixed(Slider):
+    """Shows numbers in dictionaries in tuples, and texts beside them."""
+
+    def observe(self) -> Any:
+        return {"arm": ({"place": self.place}, self.steps), "told": "left", "off": self.place < 0}
+
+
+def test_numbers_are_recorded_wherever_they_stand_and_texts_are_not(tmp_path: Path) -> None:
+    env = Recorder(Mixed(), tmp_path / "mixed", task="go left")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.ones(1, np.float32))
+    answer = plp("data", "import", "gymnasium", tmp_path / "mixed", "--domain", "d", "--out", tmp_path / "x.hdf5")
+    assert answer.code == 0, answer
+    with TrajectoryFile.open(tmp_path / "x.hdf5") as file:
+        assert [(key.name, key.shape) for key in file.spec("d").observation] == [
+            ("arm.0.place", (1,)),
+            ("arm.1", (1,)),
+            ("off", (1,)),
+        ]
