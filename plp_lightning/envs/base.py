@@ -24,8 +24,7 @@ class Step(NamedTuple):
     """``(n,)`` bool: the task is solved in this state."""
     invalid: np.ndarray
     """``(n,)`` bool: the simulation diverged or the action was not finite; the episode is over."""
-    over: np.ndarray | None = None
-    """``(n,)`` bool: the episode has ended, for whatever reason; None if time alone ends episodes."""
+    over: np.ndarray | None = None  # (n,) bool: the episode has ended; None where time alone ends episodes
 
 
 class Simulator(Configured, ABC):
@@ -36,12 +35,10 @@ class Simulator(Configured, ABC):
     task, its seed and its actions: neither the number of episodes stepped together nor their order changes it.
     """
 
-    horizon: int = 200
-    """Control steps after which an unsolved episode counts as failed."""
+    horizon: int = 200  # Control steps after which an unsolved episode counts as failed
     needs: ClassVar[tuple[str, ...]] = ()
     """Modules that it imports at its first reset, and that the core of this project goes without."""
-    imports: tuple[str, ...] = ()
-    """Packages of others that it imports; a configuration may name those alone that its user allows."""
+    imports: tuple[str, ...] = ()  # Packages of others that it imports: their user has to allow them
     threads: int = 0
     """Threads that step physics; 0 means one for each core. May be set until the first reset."""
 

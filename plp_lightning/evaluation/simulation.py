@@ -46,9 +46,8 @@ class Outcome:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, the metrics of behaviour beside success."""
-        plain = {**vars(self), **self.behaviour, "interval": list(self.interval)}
-        del plain["behaviour"]
-        return plain
+        counts = {name: value for name, value in vars(self).items() if name != "behaviour"}
+        return {**counts, **self.behaviour, "interval": list(self.interval)}
 
 
 @dataclass(frozen=True)
