@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from datamodules.errors import ConfigError
+from plp_lightning.cli.brief_help import brief_help
 from plp_lightning.cli.config import help_parser, parse, read, tell, trusted
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
@@ -27,9 +28,13 @@ EXPERT_STEPS = 3_000_000  # Enough for a gait that falls over in few episodes; a
 
 def run_fit(arguments: Sequence[str]) -> None:
     """``plp fit``: a new run, a phase of it, or the rest of an interrupted one."""
+    words = list(arguments)
+    if words in (["-h"], ["--help"]):
+        print(brief_help(_fit_options()))
+        return
     if _helped(arguments, _fit_options()):
         return
-    options, rest = _fit_options().parse_known_args(list(arguments))
+    options, rest = _fit_options().parse_known_args(words)
     if options.print_config:
         if options.resume or options.phase or options.origin:
             raise ConfigError(

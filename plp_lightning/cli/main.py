@@ -27,6 +27,7 @@ VERBS = {
     "export": ("plp_lightning.cli.export:run_export", "a run's policy in a file of its own: ONNX, torch, safetensors"),
     "report": ("plp_lightning.cli.report:run_report", "tables and figures of many runs, beside the paper's values"),
     "data": ("plp_lightning.cli.data:run_data", "inspect, validate or import trajectory files"),
+    "list": ("plp_lightning.cli.listing:run_list", "experiments, methods, simulators, tasks, a line each"),
     "doctor": ("plp_lightning.cli.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
 }
 

@@ -30,7 +30,7 @@ class Shown(NamedTuple):
 
 
 class Gymnasium(Simulator):
-    """Episodes of an environment, each in an object of its own, stepped on all cores by processes.
+    """Any environment of Gymnasium, by its name: each episode has one of its own, and processes step them on all cores.
 
     An episode begins by ``reset(seed=…, options=…)``. Actions in [-1, 1] are brought to the limits of the environment's
     own. An episode that the environment ends unsolved has failed. Whether an episode depends on its task, seed and
