@@ -17,7 +17,7 @@ import numpy as np
 
 from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.experts.lift import LiftExpert
-from plp_lightning.envs.lift.model import robosuite_env
+from plp_lightning.envs.lift.building import robosuite_env
 from plp_lightning.envs.lift.osc import SUBSTEPS
 from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.lift.tasks import Robot

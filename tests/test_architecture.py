@@ -49,7 +49,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.networks": WORDS,
     "plp_lightning.losses": WORDS,
     METHODS: {"datamodules", "plp_lightning.losses", "plp_lightning.networks"},
-    ENVS: WORDS,
+    ENVS: WORDS | {"datamodules.store.atomic"},
     "plp_lightning.evaluation": {"datamodules", ENVS, METHODS},
     "plp_lightning.callbacks": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation", "plp_lightning.stopping"},
     "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},

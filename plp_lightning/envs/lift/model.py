@@ -1,94 +1,27 @@
-"""The MuJoCo model of R2R-Lift: robosuite's Lift with a block on a pedestal, and where its parts are.
-
-Importing it imports robosuite; :mod:`plp_lightning.envs.lift.simulator` does so at the first reset only.
-"""
+"""The MuJoCo model of R2R-Lift, and where its parts are: built once for all runs of a user, without robosuite here."""
 
 from __future__ import annotations
 
-import logging
+import hashlib
+import io
 import os
-import warnings
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator
-from contextlib import contextmanager
+import subprocess
+import sys
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.kept import kept
 from plp_lightning.envs.lift.state import Arm
-from plp_lightning.envs.lift.tasks import BLOCK_HALF, Robot
+from plp_lightning.envs.lift.tasks import Robot
 from plp_lightning.envs.rendering.scene import HIDDEN
 
-PEDESTAL_HALF = (0.018, 0.018, 0.10)
-"""Half size of the pedestal, m: narrower than the block, so that the fingers clear it."""
-ARENA = "16M"  # room for contacts in each thread; an episode needs less than a tenth of it
 COLLIDING = 0  # robosuite's group of geoms that collide; those to be seen are in another
-FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
-"""Sign with which each finger's actuator follows the gripper command."""
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Let robosuite neither print nor leave the rendering backend it prefers in the environment."""
-    logger, backend = logging.getLogger("robosuite_logs"), os.environ.get("MUJOCO_GL")
-    disabled, logger.disabled = logger.disabled, True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.disabled = disabled
-        os.environ.pop("MUJOCO_GL", None)
-        if backend is not None:
-            os.environ["MUJOCO_GL"] = backend
-
-
-with _quiet():
-    from robosuite.controllers import load_composite_controller_config
-    from robosuite.environments.manipulation.lift import Lift as RobosuiteLift
-
-
-class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robosuite is untyped
-    """robosuite's Lift with a block of one size that stands on a movable pedestal.
-
-    The pedestal is a mocap body: its height is state, not model, so one model serves all tasks. It sinks into the
-    table unhindered, since MuJoCo never collides two static bodies.
-    """
-
-    def _load_model(self) -> None:
-        super()._load_model()
-        pedestal = ET.SubElement(self.model.worldbody, "body", name="pedestal", mocap="true", pos="0 0 0.7")
-        size, friction = (" ".join(map(str, numbers)) for numbers in (PEDESTAL_HALF, self.table_friction))
-        ET.SubElement(pedestal, "geom", name="pedestal_g", type="box", size=size, friction=friction, group="1")
-        geoms = {geom.get("name"): geom for geom in self.model.root.iter("geom")}
-        for name in ("cube_g0", "cube_g0_vis"):
-            geoms[name].set("size", " ".join([str(BLOCK_HALF)] * 3))
-        # Sawyer's base is welded to the world, so nothing filters its contact with the first link, whose
-        # friction then freezes joint 0.
-        if "robot0_base_col" in geoms:
-            geoms["robot0_base_col"].attrib.update(contype="0", conaffinity="0")
-
-
-def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
-    """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer; noise is in rad."""
-    with _quiet():
-        controller = load_composite_controller_config(controller="BASIC", robot=robot)
-        arm = controller["body_parts"]["right"]
-        arm.update(type="OSC_POSITION", input_max=1, input_min=-1, output_max=[0.05] * 3, output_min=[-0.05] * 3)
-        return PedestalLift(
-            robots=robot,
-            controller_configs=controller,
-            initialization_noise={"type": "gaussian", "magnitude": joint_noise},
-            use_camera_obs=False,
-            has_offscreen_renderer=False,
-            renderer="mujoco",
-            hard_reset=False,
-            ignore_done=True,
-            control_freq=20,
-        )
 
 
 @dataclass(frozen=True)
@@ -105,28 +38,13 @@ class LiftModel:
     @classmethod
     @cache
     def build(cls, robot: Robot) -> LiftModel:
-        """The robot's model, built through robosuite (2 to 5 s) once in a process: stepping only reads it."""
-        env = robosuite_env(robot)
-        xml = _own_xml(env)
-        parts, model = env.robots[0], _bare_model(xml)
-        actuators = np.array(parts._ref_actuators_indexes_dict["right"])
-        finger_actuators = np.array(parts._ref_joint_gripper_actuator_indexes["right"])
-        arm = Arm(
-            site=int(parts.eef_site_id["right"]),
-            hand=int(model.body(parts.robot_model.eef_name["right"]).id),
-            block=int(model.joint(env.cube.joints[0]).qposadr[0]),
-            qpos=np.array(parts._ref_joint_pos_indexes),
-            dof=np.array(parts._ref_joint_vel_indexes),
-            actuators=actuators,
-            limits=model.actuator_ctrlrange[actuators],
-            finger_qpos=np.array(parts._ref_gripper_joint_pos_indexes["right"]),
-            finger_dof=np.array(parts._ref_gripper_joint_vel_indexes["right"]),
-            finger_actuators=finger_actuators,
-            finger_signs=np.array(FINGERS[robot]),
-            finger_limits=model.actuator_ctrlrange[finger_actuators],
-        )
-        rest_pose, fingers = np.array(parts.init_qpos, dtype=float), np.array(parts.gripper["right"].init_qpos)
-        return cls(model, arm, rest_pose, fingers, int(model.body("pedestal").mocapid[0]), xml)
+        """The robot's model, one in a process: stepping only reads it. It is kept on disk once it was built (8 s)."""
+        content = kept(f"lift_{robot}_{_origin()}.npz", partial(_built_apart, robot))
+        with np.load(io.BytesIO(content)) as file:
+            parts: dict[str, Any] = {name: file[name] if file[name].ndim else int(file[name]) for name in file.files}
+        model = mujoco.MjModel.from_binary_path("lift.mjb", {"lift.mjb": parts["model"].tobytes()})
+        arm, xml = Arm(**{name: parts[name] for name in Arm._fields}), parts["xml"].tobytes().decode()
+        return cls(model, arm, parts["rest_pose"], parts["open_fingers"], parts["pedestal"], xml)
 
     def visible(self) -> mujoco.MjModel:
         """A model of the same joints for pictures, with meshes and textures in the place of what collides."""
@@ -136,19 +54,31 @@ class LiftModel:
         return model
 
 
-def _own_xml(env: Any) -> str:
-    root = ET.fromstring(env.edit_model_xml(env.model.get_xml()))
-    for size in root.findall("size"):  # robosuite asks for room for thousands of contacts: a gigabyte in each thread
-        root.remove(size)
-    ET.SubElement(root, "size", memory=ARENA)
-    return ET.tostring(root, encoding="unicode")
+def _built_apart(robot: Robot) -> bytes:
+    """A robot's model from a process of its own: robosuite leaves hundreds of MB behind, which are given back so."""
+    module = "plp_lightning.envs.lift.building"
+    paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-m", module, robot]
+    done = subprocess.run(
+        command, env=os.environ | paths, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=False
+    )
+    if done.returncode == 0:
+        return done.stdout
+    # Whatever is amiss is told better where it is met again; and it may have been the process alone.
+    from plp_lightning.envs.lift.building import build
+
+    return build(robot)
 
 
-def _bare_model(xml: str) -> mujoco.MjModel:
-    """The environment's model without what only a renderer or a sensor needs; its motion is the same, bit for bit."""
-    root = ET.fromstring(xml)
-    for compiler in root.findall("compiler"):
-        compiler.set("discardvisual", "true")
-    model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-    return model
+def _origin() -> str:
+    """Hash of what a model is built from: this code, MuJoCo, and place, sizes and times of robosuite's files."""
+    digest = hashlib.sha256(mujoco.__version__.encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    robosuite = find_spec("robosuite")
+    folders = robosuite.submodule_search_locations if robosuite else None
+    for path in sorted(path for folder in folders or () for path in Path(folder).rglob("*.*")):
+        if path.suffix != ".pyc":
+            told = path.stat()
+            digest.update(f"{path} {told.st_size} {told.st_mtime_ns}".encode())
+    return digest.hexdigest()[:16]

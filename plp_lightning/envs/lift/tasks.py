@@ -16,6 +16,8 @@ GRID_Y = (-0.12, 0.0, 0.12)
 HEIGHTS = (0.0, 0.05, 0.10)
 TABLE_Z = 0.8
 BLOCK_HALF = 0.02  # half the edge of the block, m. robosuite draws it anew for every model; both robots need the same
+PEDESTAL_HALF = (0.018, 0.018, 0.10)
+"""Half size of the pedestal below it, m: narrower than the block, so that the fingers clear it."""
 PLACES = {f"x{i}y{j}h{k}": (i, j, k) for i, j, k in product(range(3), repeat=3)}
 """Name of each task and the place of its block on the grid: column, row, height."""
 
