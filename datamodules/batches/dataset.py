@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datamodules.batches.images import Images
+from datamodules.batches.images import ImageFile, Images
 from datamodules.errors import TrajectoryFileError
 from datamodules.types import NO_IMAGES, DomainSpec, Observation, PackedTrajectories, Steps
 
@@ -39,7 +39,7 @@ class StoredObservation:
 
     def to(self, device: torch.device) -> StoredObservation:
         """The same on a device, images ``(N + L, H, W, C)`` too, unless they stay in their file."""
-        images = {name: x.to(device) if isinstance(x, Tensor) else x for name, x in self.images.items()}
+        images = {name: x if isinstance(x, ImageFile) else x.to(device) for name, x in self.images.items()}
         return StoredObservation(self.state.to(device), images)
 
 

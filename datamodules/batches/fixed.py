@@ -148,10 +148,11 @@ def by_trajectory(trajectories: PackedTrajectories, values: Tensor) -> Tensor:
 def fits(datasets: Datasets, device: torch.device) -> bool:
     """Tell whether tables may lie on a GPU: images are in memory, and half of the GPU's free memory holds all."""
     images = [images for dataset in datasets.values() for images in dataset.observation.images.values()]
-    if any(isinstance(part, ImageFile) for part in images):
+    in_memory = [part for part in images if not isinstance(part, ImageFile)]
+    if len(in_memory) < len(images):
         return False
     tables = chain.from_iterable((d.observation.state, d.action, d.task, d.next_row) for d in datasets.values())
-    needed = sum(part.nbytes for part in (*tables, *images) if isinstance(part, Tensor))
+    needed = sum(part.nbytes for part in (*tables, *in_memory))
     return needed <= torch.cuda.mem_get_info(device)[0] / 2
 
 

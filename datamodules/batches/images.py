@@ -1,4 +1,4 @@
-"""Images of demonstrations: in memory if they fit, else in their file until a batch asks for them."""
+"""Images of demonstrations: in memory if they fit, one copy for all runs, else in their file until a batch asks."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from datamodules.batches.shared import SharedImages, shared_images
 from datamodules.store.reader import TrajectoryFile
 from datamodules.types import ObservationKey
 
@@ -65,7 +66,7 @@ class ImageFile:
         return block
 
 
-Images = Tensor | ImageFile
+Images = Tensor | SharedImages | ImageFile
 """Images of one camera at all steps of a domain and those seen last, ``(N + L, H, W, C)`` uint8, wherever they are."""
 
 
@@ -87,7 +88,13 @@ def stored_images(
     found: dict[str, dict[str, Images]] = {domain: {} for domain in episodes}
     for (domain, key), size in zip(keys, sizes, strict=True):
         if size and needed <= budget:
-            found[domain][key.name] = torch.from_numpy(file.images(domain, episodes[domain], key.name))
+            found[domain][key.name] = _in_memory(file, domain, episodes[domain], key.name)
         elif size:
             found[domain][key.name] = ImageFile(file, domain, key, episodes[domain], budget * size // needed)
     return found
+
+
+def _in_memory(file: TrajectoryFile, domain: str, episodes: np.ndarray, camera: str) -> Tensor | SharedImages:
+    """Images ``(N + L, H, W, C)`` of episodes ``(E,)`` in memory, that of all runs if they can be shared."""
+    shared = shared_images(file, domain, camera, file.rows(domain, episodes))
+    return torch.from_numpy(file.images(domain, episodes, camera)) if shared is None else shared

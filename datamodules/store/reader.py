@@ -163,6 +163,14 @@ class TrajectoryFile:
         chunks = self._array(self._camera(domain, camera)).chunks
         return 1 if chunks is None else int(chunks[0])
 
+    def image_shape(self, domain: str, camera: str | None = None) -> tuple[int, ...]:
+        """Shape ``(M, H, W, C)`` of all images of a camera."""
+        return tuple(self._array(self._camera(domain, camera)).shape)
+
+    def image_hash(self, domain: str, camera: str | None = None) -> str | None:
+        """SHA-256 that the writer has stored of all images of a camera, ``(M, H, W, C)``, as schema.digest takes it."""
+        return self.hashes.get(self._camera(domain, camera))
+
     def trajectory(self, domain: str, episode: int) -> Trajectory:
         """Read one demonstration: states ``(T + 1, O)``, actions ``(T, A)``."""
         table, arrays = self.episodes(domain), self.read(domain, [episode])

@@ -46,11 +46,6 @@ def _change(path: Path, at: int) -> None:
     path.write_bytes(content)
 
 
-def _into_folder(path: Path) -> None:
-    path.unlink()
-    path.mkdir()
-
-
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "first byte": lambda path: _change(path, 0),
     "last byte": lambda path: _change(path, -1),
