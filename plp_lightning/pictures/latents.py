@@ -11,7 +11,6 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from sklearn.manifold import TSNE
 
 from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Simulator
@@ -145,6 +144,8 @@ def _draw_kinds(axes: Axes, points: Mapping[str, np.ndarray], kinds: Mapping[str
 
 def _flatten(parts: list[np.ndarray]) -> list[np.ndarray]:
     """Parts ``(N_i, Z)``, projected together, as ``(N_i, 2)``."""
+    from sklearn.manifold import TSNE  # half a second and 20 MB that no step waits for
+
     rows = np.concatenate(parts)
     # A principal component more than there are latent numbers can't be had.
     start = "pca" if rows.shape[1] > 1 else "random"

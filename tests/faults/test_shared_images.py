@@ -103,9 +103,11 @@ def test_batches_and_fingerprint_are_the_same(tmp_path: Path, monkeypatch: pytes
     batches = [*together.loader(BatchSpec())]
     assert all(isinstance(x, SharedImages) for d in together.datasets.values() for x in d.observation.images.values())
     monkeypatch.setattr(shared, "LEAST_BYTES", 2**40)
+    assert all(steps.observation.images for steps in batches[0].steps.values())
     for one, other in zip(batches, alone.loader(BatchSpec()), strict=True):
         for domain, steps in one.steps.items():
-            assert torch.equal(steps.observation.images["image"], other.steps[domain].observation.images["image"])
+            for camera, found in steps.observation.images.items():
+                assert torch.equal(found, other.steps[domain].observation.images[camera])
     assert all(isinstance(x, Tensor) for d in alone.datasets.values() for x in d.observation.images.values())
     assert together.fingerprint == alone.fingerprint
 
