@@ -33,7 +33,7 @@ def test_words_about_itself_load_nothing(word: str) -> None:
     assert not loaded(word) & {"numpy", "yaml", *SIMULATORS, *PHYSICS, *LATER, *LEARNING, *DRAWING}
 
 
-@pytest.mark.parametrize("verb", ["report", "data", "sweep"])
+@pytest.mark.parametrize("verb", ["report", "data"])
 def test_help_of_light_verbs_loads_no_learning_and_no_physics(verb: str) -> None:
     assert not loaded(verb, "--help") & {*SIMULATORS, *PHYSICS, *LATER, *LEARNING}
 
