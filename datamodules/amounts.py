@@ -65,8 +65,8 @@ class DataSettings(Demonstrations, Batching):
         proxy_goals: Goals that proxy tasks end at; all if not given.
         root: Folder of trajectory files; PLP_DATA or data if not given.
         file: Trajectory file; <root>/<experiment>.hdf5 if not given.
-        image_memory: GiB that images may take in memory; if they need more, they are read from the file as batches ask
-            for them. The batches are the same.
+        image_memory: GiB that images may take in memory, which runs share; if they need more, they are read from the
+            file as batches ask for them. The batches are the same.
     """
 
     source_domain: str
