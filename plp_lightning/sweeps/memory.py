@@ -22,9 +22,10 @@ def free_bytes() -> float:
 
 
 def peak_bytes(process: int) -> int:
-    """Most bytes that a process has had in memory; 0 if it has ended."""
-    found = re.search(r"^VmHWM:\s+(\d+) kB", _text(Path(f"/proc/{process}/status")), re.MULTILINE)
-    return int(found[1]) * 1024 if found else 0
+    """Most bytes that a process has had in memory for itself alone, without pages of files; 0 if it has ended."""
+    told = dict(re.findall(r"^(\w+):\s+(\d+) kB", _text(Path(f"/proc/{process}/status")), re.MULTILINE))
+    most, *shared = (int(told.get(name, 0)) for name in ("VmHWM", "RssFile", "RssShmem"))
+    return max(0, most - sum(shared)) * 1024
 
 
 def _text(file: Path) -> str:

@@ -44,7 +44,7 @@ def test_help_of_fit_loads_no_physics() -> None:
     assert not found & {*SIMULATORS, *PHYSICS, *LATER}
 
 
-@pytest.mark.parametrize("page", ["r2r", "p2p_medium", "v2v_reach"])
+@pytest.mark.parametrize("page", ["r2r", "v2v_reach"])
 def test_reading_a_page_loads_no_package_of_robots(page: str) -> None:
     found = loaded("fit", "--config", f"configs/{page}.yaml", "--print_config")
     assert "torch" in found

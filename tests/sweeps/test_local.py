@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command import ROOT, TINY, data_root, plp, results, tiny_smoke
 
@@ -156,6 +157,14 @@ def test_no_further_run_is_started_without_memory(tmp_path: Path, monkeypatch: p
 def test_memory_is_measured() -> None:
     assert 0 < peak_bytes(os.getpid()) < free_bytes() * 100
     assert peak_bytes(2**30) == 0
+
+
+def test_pages_that_runs_share_are_nobody_s_memory(tmp_path: Path) -> None:
+    (tmp_path / "images").write_bytes(bytes(2**26))
+    before = peak_bytes(os.getpid())
+    images = np.memmap(tmp_path / "images", np.uint8, "c")
+    assert images.sum() == 0  # all pages are there
+    assert peak_bytes(os.getpid()) < before + 2**25
 
 
 def test_places(monkeypatch: pytest.MonkeyPatch) -> None:
