@@ -38,8 +38,8 @@ def test_help_of_light_verbs_loads_no_learning_and_no_physics(verb: str) -> None
     assert not loaded(verb, "--help") & {*SIMULATORS, *PHYSICS, *LATER, *LEARNING}
 
 
-def test_help_of_fit_loads_no_physics() -> None:
-    found = loaded("fit", "--help")
+def test_all_help_of_fit_loads_no_physics() -> None:
+    found = loaded("fit", "--help", "all")
     assert "torch" in found
     assert not found & {*SIMULATORS, *PHYSICS, *LATER}
 
