@@ -177,7 +177,8 @@ def test_models_of_another_robosuite_have_other_names(tmp_path: Path, monkeypatc
     assert len(names) == 4
 
 
-def test_a_build_that_fails_apart_is_tried_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "executable", "/bin/false")
+@pytest.mark.parametrize("python", ["/bin/false", "/no/python", ""])
+def test_a_build_that_fails_apart_is_tried_here(monkeypatch: pytest.MonkeyPatch, python: str) -> None:
+    monkeypatch.setattr(sys, "executable", python)
     monkeypatch.setattr(building, "build", lambda robot: robot.encode())
     assert lift._built_apart("UR5e") == b"UR5e"

@@ -56,18 +56,15 @@ class LiftModel:
 
 def _built_apart(robot: Robot) -> bytes:
     """A robot's model from a process of its own: robosuite leaves hundreds of MB behind, which are given back so."""
-    module = "plp_lightning.envs.lift.building"
+    command = [sys.executable, "-m", "plp_lightning.envs.lift.building", robot]
     paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-m", module, robot]
-    done = subprocess.run(
-        command, env=os.environ | paths, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=False
-    )
-    if done.returncode == 0:
-        return done.stdout
-    # Whatever is amiss is told better where it is met again; and it may have been the process alone.
-    from plp_lightning.envs.lift.building import build
+    try:
+        return subprocess.run(command, env=os.environ | paths, capture_output=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        # Whatever is amiss is told better where it is met again; and it may have been the process alone.
+        from plp_lightning.envs.lift.building import build
 
-    return build(robot)
+        return build(robot)
 
 
 def _origin() -> str:
