@@ -72,8 +72,7 @@ def test_decoder_layer_is_torchs() -> None:
     seen, shown = packing(SHOWN_LENGTHS), frames(SHOWN_LENGTHS, seed=1)
     causal = nn.Transformer.generate_square_subsequent_mask(max(LENGTHS), dtype=torch.float64)
     expected = theirs(packed.pad(x), seen.pad(shown), causal, memory_key_padding_mask=~seen.mask)
-    memory = ours.shown_attention.remember(shown, seen)
-    torch.testing.assert_close(ours(x, packed, memory, seen.mask[:, None, None]), packed.pack(expected))
+    torch.testing.assert_close(ours(x, packed, shown, seen), packed.pack(expected))
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import numpy as np
 from torch import Tensor
 
 from datamodules.batches.fixed import is_filled
+from datamodules.batches.rounding import with_rows_that_recur
 from datamodules.settings import PositiveInt
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch, BatchSpec
@@ -61,7 +62,7 @@ class ContextualCloning(Phase[ContextualPolicy]):
         domain, most = self.policy.target.name, self.policy.max_length
         shown = last_frames(batch.pairs[self.policy.source.name], most)
         episodes = first_frames(batch.pairs[domain], most)
-        action = self.policy(shown, episodes)
+        action = self.policy(*with_rows_that_recur(shown, episodes))[: len(episodes.action)]
         counted = {domain: episodes.mask.flatten().float()} if is_filled(episodes) else None
         return behavioural_cloning({domain: action}, {domain: episodes.action}, weight=counted), len(action)
 

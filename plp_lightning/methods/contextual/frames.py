@@ -5,11 +5,14 @@ Sequences of different lengths are laid end to end, and padded only where their 
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from datamodules.types import DomainSpec, Observation
+from plp_lightning.methods.contextual.dropout import Dropout
 from plp_lightning.networks import ImageEncoderFactory, Vision, build_vision
 
 MOST_IMAGES = 512
@@ -38,6 +41,14 @@ class Packing:
         # One more place than there are frames takes what padding would write.
         target = torch.where(mask, frame, frames).flatten()
         self.place = places.new_empty(frames + 1).scatter_(0, target, places)[:frames]
+
+    @cached_property
+    def lengths(self) -> list[int] | None:
+        """Lengths ``(P,)`` where frames lie end to end, none missing, on a processor: a GPU is not asked for values."""
+        if self.mask.device.type != "cpu" or len(self.place) == self.mask.numel():
+            return None
+        found: list[int] = self.mask.sum(dim=1).tolist()
+        return found if bool((self.place.diff() > 0).all()) else None
 
     @property
     def time(self) -> Tensor:
@@ -80,7 +91,7 @@ class FrameEmbedding(nn.Module):
         self.linear = nn.Linear(spec.state_size + actions + features, width)
         self.position = nn.Embedding(length, width)
         nn.init.normal_(self.position.weight, std=POSITION_SCALE)
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
 
     def forward(self, observation: Observation[Tensor], time: Tensor, action: Tensor | None = None) -> Tensor:
         """States ``(F, O)``, images ``(F, H, W, C)``, steps ``(F,)``, actions ``(F, A)`` if seen → ``(F, W)``."""

@@ -10,9 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import cast
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from plp_lightning.methods.contextual.dropout import Dropout
 from plp_lightning.methods.contextual.frames import Packing
 
 FIRST_ROOM = 64
@@ -29,24 +31,37 @@ class Attention(nn.Module):
         self.key_value = nn.Linear(width, 2 * width)
         self.output = nn.Linear(width, width)
 
-    def forward(self, x: Tensor, packing: Packing, memory: Tensor, mask: Tensor | None) -> Tensor:
-        """Looks frames ``(F, W)`` of P sequences up in their memory ``(2, P, H, S, W / H)``, as ``(F, W)``.
+    def forward(self, x: Tensor, packing: Packing, seen: Tensor, seen_packing: Packing, causal: bool = False) -> Tensor:
+        """Looks frames ``(F, W)`` of P sequences up in those of P others, ``seen (S, W)``, as ``(F, W)``.
 
-        ``mask (P, 1, 1, S)`` is True in the part of the memory to look at. Without one, a frame looks at no frame
-        behind its own, which takes the memory to be of the same sequences.
+        Where ``causal``, both are the same frames, and none looks at a frame behind its own.
         """
-        found = self.look(packing.pad(self.query(x)), memory, mask, causal=mask is None)
-        added: Tensor = self.output(packing.pack(found))
+        query, key_value = self.query(x), self.key_value(seen)
+        if packing.lengths is None or seen_packing.lengths is None:
+            mask = None if causal else seen_packing.mask[:, None, None]
+            found = packing.pack(self.look(packing.pad(query), self._padded(key_value, seen_packing), mask, causal))
+        else:
+            found = self._look_one_by_one(query, key_value, packing.lengths, seen_packing.lengths, causal)
+        added: Tensor = self.output(found)
         return added
+
+    def _look_one_by_one(
+        self, query: Tensor, key_value: Tensor, lengths: list[int], seen_lengths: list[int], causal: bool
+    ) -> Tensor:
+        """Looks sequences end to end, ``(F, W)``, up in ``(S, 2 W)``, each for itself, so that nothing is padded."""
+        dtype = torch.promote_types(query.dtype, torch.float32)
+        queries = query.to(dtype).split(lengths)
+        keys, values = (part.split(seen_lengths) for part in key_value.to(dtype).chunk(2, dim=1))
+        parts = [[self._heads(x[None]) for x in part] for part in zip(queries, keys, values, strict=True)]
+        return torch.cat([_attend(*part, causal=causal).transpose(1, 2).flatten(0, 1) for part in parts]).flatten(1)
 
     def remember(self, x: Tensor, packing: Packing) -> Tensor:
         """Keys and values ``(2, P, H, T, W / H)`` of frames ``(F, W)``."""
-        return self._split(packing.pad(self.key_value(x)))
+        return self._padded(self.key_value(x), packing)
 
     def look(self, query: Tensor, memory: Tensor, mask: Tensor | None = None, causal: bool = False) -> Tensor:
         """Looks queries ``(P, T, W)`` up in a memory ``(2, P, H, S, W / H)``, as ``(P, T, W)``."""
-        heads = query.unflatten(-1, (self.heads, -1)).transpose(1, 2)
-        found = F.scaled_dot_product_attention(heads, memory[0], memory[1], mask, is_causal=causal)
+        found = _attend(self._heads(query), memory[0], memory[1], mask, causal)
         return found.transpose(1, 2).flatten(-2)
 
     def step(self, x: Tensor, past: Past) -> Tensor:
@@ -58,10 +73,27 @@ class Attention(nn.Module):
         found: Tensor = self.output(self.look(self.query(x)[:, None], memory, mask)[:, 0])
         return found
 
+    def _heads(self, x: Tensor) -> Tensor:
+        """``(P, T, W)`` → ``(P, H, T, W / H)``."""
+        return x.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+
+    def _padded(self, key_value: Tensor, packing: Packing) -> Tensor:
+        """``(F, 2 W)`` → ``(2, P, H, T, W / H)``."""
+        return self._split(packing.pad(key_value))
+
     def _split(self, key_value: Tensor) -> Tensor:
         """``(P, T, 2 W)`` → ``(2, P, H, T, W / H)``."""
         heads: Tensor = key_value.unflatten(-1, (2, self.heads, -1))
         return heads.permute(2, 0, 3, 1, 4)
+
+
+def _attend(query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None = None, causal: bool = False) -> Tensor:
+    """Torch's attention, on a processor in float32 or better: its gradients take six times as long in bfloat16."""
+    if query.device.type != "cpu":
+        return F.scaled_dot_product_attention(query, key, value, mask, is_causal=causal)
+    dtype = torch.promote_types(query.dtype, torch.float32)
+    with torch.autocast("cpu", enabled=False):
+        return F.scaled_dot_product_attention(query.to(dtype), key.to(dtype), value.to(dtype), mask, is_causal=causal)
 
 
 class Past:
@@ -122,13 +154,12 @@ class EncoderLayer(nn.Module):
         super().__init__()
         self.attention, self.feed_forward = Attention(width, heads), _feed_forward(width, hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(2))
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
 
     def forward(self, x: Tensor, packing: Packing) -> Tensor:
         """``(F, W)`` → ``(F, W)``."""
         seen = self.norms[0](x)
-        memory = self.attention.remember(seen, packing)
-        x = x + self.dropout(self.attention(seen, packing, memory, packing.mask[:, None, None]))
+        x = x + self.dropout(self.attention(seen, packing, seen, packing))
         added: Tensor = x + self.dropout(self.feed_forward(self.norms[1](x)))
         return added
 
@@ -141,13 +172,13 @@ class DecoderLayer(nn.Module):
         self.past_attention, self.shown_attention = Attention(width, heads), Attention(width, heads)
         self.feed_forward = _feed_forward(width, hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(3))
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
 
-    def forward(self, x: Tensor, packing: Packing, shown: Tensor, mask: Tensor) -> Tensor:
-        """``(F, W)`` → ``(F, W)``, in all steps at once."""
+    def forward(self, x: Tensor, packing: Packing, shown: Tensor, shown_packing: Packing) -> Tensor:
+        """``(F, W)``, and the encoder's ``(S, W)`` that its P sequences were shown → ``(F, W)``, all steps at once."""
         seen = self.norms[0](x)
-        x = x + self.dropout(self.past_attention(seen, packing, self.past_attention.remember(seen, packing), None))
-        x = x + self.dropout(self.shown_attention(self.norms[1](x), packing, shown, mask))
+        x = x + self.dropout(self.past_attention(seen, packing, seen, packing, causal=True))
+        x = x + self.dropout(self.shown_attention(self.norms[1](x), packing, shown, shown_packing))
         added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
         return added
 
@@ -194,9 +225,8 @@ class TransformerDecoder(nn.Module):
 
     def forward(self, x: Tensor, packing: Packing, shown: Tensor, shown_packing: Packing) -> Tensor:
         """All steps at once: ``(F, W)``, and the encoder's ``(S, W)`` that its P sequences were shown → ``(F, W)``."""
-        cache = self.begin(shown, shown_packing)
-        for layer, memory in zip(self.layers, cache.shown, strict=True):
-            x = layer(x, packing, memory, cache.mask)
+        for layer in self.layers:
+            x = layer(x, packing, shown, shown_packing)
         normal: Tensor = self.norm(x)
         return normal
 

@@ -1,0 +1,50 @@
+"""Numbers of rows that come again: in bfloat16 a processor makes a program for each shape of a matrix when it is new.
+
+That takes ten times as long as the product of a batch's rows itself, so batches whose rows vary are filled up a little.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from datamodules.batches.fixed import is_filled
+from datamodules.types import PackedTrajectories
+
+SHAPES = 16
+"""Numbers of rows, evenly spaced, from one power of two to the next."""
+
+
+def rows_to_fill(rows: int, most: int | None = None) -> int:
+    """Rows that are put behind so many rows: one at the least, a sixteenth of all at most, and at most ``most``.
+
+    >>> [rows_to_fill(rows) + rows for rows in (5, 1000, 1023, 1024, 1030)]
+    [6, 1024, 1024, 1088, 1088]
+    """
+    unit = max(1, 2 ** (rows.bit_length() - 1) // SHAPES)
+    if most is not None:
+        unit = min(unit, 2 ** (most.bit_length() - 1))
+    return unit - rows % unit
+
+
+def with_rows_that_recur(*sequences: PackedTrajectories) -> tuple[PackedTrajectories, ...]:
+    """Put one more trajectory behind those ``(P, T)`` of each domain, whose frames fill their number up.
+
+    On a processor alone, and where no domain's trajectories were filled up themselves: all have as many afterwards.
+    """
+    if any(s.mask.device.type != "cpu" or is_filled(s) for s in sequences):
+        return sequences
+    return tuple(map(_with_one_more, sequences))
+
+
+def _with_one_more(sequences: PackedTrajectories) -> PackedTrajectories:
+    rows, time = len(sequences.action), sequences.mask.shape[1]
+    more = rows_to_fill(rows, most=time)
+    added = torch.arange(time)[None] < more
+
+    def fill(x: Tensor) -> Tensor:
+        return torch.cat([x, x[:1].expand(more, *x.shape[1:])])
+
+    frame = torch.cat([sequences.frame, (rows + torch.arange(time)[None]) * added])
+    mask = torch.cat([sequences.mask, added])
+    return PackedTrajectories(sequences.observation.map(fill), frame, mask, fill(sequences.action))
