@@ -35,12 +35,10 @@ class Packing:
     def __init__(self, frame: Tensor, mask: Tensor, frames: int) -> None:
         self.mask = mask
         places = torch.arange(mask.numel(), device=mask.device)
-        if frames == mask.numel():  # each place has a frame of its own, in order
-            self.place = places
-            return
-        # One more place than there are frames takes what padding would write.
-        target = torch.where(mask, frame, frames).flatten()
-        self.place = places.new_empty(frames + 1).scatter_(0, target, places)[:frames]
+        # Where each place has a frame of its own, it has one behind the ends too. Elsewhere one more place than there
+        # are frames takes what padding would write.
+        target = frame if frames == mask.numel() else torch.where(mask, frame, frames)
+        self.place = places.new_empty(frames + 1).scatter_(0, target.flatten(), places)[:frames]
 
     @cached_property
     def lengths(self) -> list[int] | None:
@@ -63,6 +61,14 @@ class Packing:
     def pack(self, x: Tensor) -> Tensor:
         """``(P, T, W)`` → ``(F, W)``."""
         return x.flatten(0, 1).index_select(0, self.place)
+
+
+def group(which: Tensor, count: int) -> Packing:
+    """Places frames ``(F,)`` in ``count`` sequences by the number of theirs, int64, in order."""
+    members = which.bincount(minlength=count)
+    mask = torch.arange(int(members.max()), device=which.device) < members[:, None]
+    frame = torch.zeros_like(mask, dtype=torch.int64).masked_scatter(mask, which.argsort(stable=True))
+    return Packing(frame, mask, len(which))
 
 
 def lay_out(mask: Tensor) -> Tensor:

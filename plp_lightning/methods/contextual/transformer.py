@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from plp_lightning.methods.contextual.dropout import Dropout
-from plp_lightning.methods.contextual.frames import Packing
+from plp_lightning.methods.contextual.frames import Packing, group
 
 FIRST_ROOM = 64
 """Steps that a cache has room for when it begins; the room doubles whenever it is full."""
@@ -66,11 +66,13 @@ class Attention(nn.Module):
 
     def step(self, x: Tensor, past: Past) -> Tensor:
         """Looks the next frame ``(P, W)`` of each sequence up in those before it and itself, as ``(P, W)``."""
-        return self.recall(x, past.append(self._split(self.key_value(x)[:, None])), None)
+        memory = past.append(self._split(self.key_value(x)[:, None]))
+        found: Tensor = self.output(self.look(self.query(x)[:, None], memory)[:, 0])
+        return found
 
-    def recall(self, x: Tensor, memory: Tensor, mask: Tensor | None) -> Tensor:
-        """Looks one frame ``(P, W)`` of each sequence up in a memory, as ``(P, W)``."""
-        found: Tensor = self.output(self.look(self.query(x)[:, None], memory, mask)[:, 0])
+    def recall(self, x: Tensor, memory: Tensor, mask: Tensor, packing: Packing) -> Tensor:
+        """Looks frames ``(F, W)`` up in the memory of their sequence, as ``(F, W)``."""
+        found: Tensor = self.output(packing.pack(self.look(packing.pad(self.query(x)), memory, mask)))
         return found
 
     def _heads(self, x: Tensor) -> Tensor:
@@ -123,13 +125,14 @@ class Cache:
     """Memory of a decoder for sequences that go on step by step: frames shown to them, and their past.
 
     Args:
-        shown: Keys and values ``(2, P, H, S, W / H)`` of the frames shown to each sequence, by layer.
-        mask: ``(P, 1, 1, S)`` bool, False behind the end of the frames shown.
+        shown: Keys and values ``(2, U, H, S, W / H)`` of the frames shown, by layer; each may be shown to several.
+        mask: ``(U, 1, 1, S)`` bool, False behind the end of the frames shown.
     """
 
     def __init__(self, shown: Sequence[Tensor], mask: Tensor) -> None:
         self.shown, self.mask = list(shown), mask
         self.past = [Past() for _ in shown]
+        self._show(torch.arange(len(mask), device=mask.device))
 
     @property
     def steps(self) -> int:
@@ -138,9 +141,13 @@ class Cache:
 
     def take(self, rows: Tensor) -> None:
         """Goes on with the sequences ``rows (n,)`` alone, an index array that may also repeat some."""
-        self.shown, self.mask = [memory[:, rows] for memory in self.shown], self.mask[rows]
+        self._show(self.which[rows])
         for past in self.past:
             past.take(rows)
+
+    def _show(self, which: Tensor) -> None:
+        """Notes the numbers ``(P,)`` of what was shown to each sequence: those of one number look at it together."""
+        self.which, self.packing = which, group(which, len(self.mask))
 
 
 def _feed_forward(width: int, hidden: int) -> nn.Sequential:
@@ -182,10 +189,10 @@ class DecoderLayer(nn.Module):
         added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
         return added
 
-    def step(self, x: Tensor, past: Past, shown: Tensor, mask: Tensor) -> Tensor:
+    def step(self, x: Tensor, past: Past, shown: Tensor, cache: Cache) -> Tensor:
         """Does the same for the next frame ``(P, W)`` of each sequence, as ``(P, W)``."""
         x = x + self.dropout(self.past_attention.step(self.norms[0](x), past))
-        x = x + self.dropout(self.shown_attention.recall(self.norms[1](x), shown, mask))
+        x = x + self.dropout(self.shown_attention.recall(self.norms[1](x), shown, cache.mask, cache.packing))
         added: Tensor = x + self.dropout(self.feed_forward(self.norms[2](x)))
         return added
 
@@ -238,6 +245,6 @@ class TransformerDecoder(nn.Module):
     def step(self, x: Tensor, cache: Cache) -> Tensor:
         """The next frame ``(P, W)`` of each of the cache's sequences → ``(P, W)``, as :meth:`forward` has it there."""
         for layer, past, memory in zip(self.layers, cache.past, cache.shown, strict=True):
-            x = layer.step(x, past, memory, cache.mask)
+            x = layer.step(x, past, memory, cache)
         normal: Tensor = self.norm(x)
         return normal
