@@ -19,6 +19,7 @@ from datamodules.types import BatchSpec, Observation, PackedTrajectories
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods import ContextualCloning, ContextualPolicy
+from plp_lightning.methods.contextual import cloning
 from plp_lightning.methods.contextual.cloning import prompt_episodes
 from plp_lightning.methods.contextual.policy import first_frames, last_frames
 from plp_lightning.methods.optimization import CosineDecay
@@ -191,6 +192,19 @@ def test_the_loss_is_the_mean_over_all_steps_of_all_pairs(data: TransferDataModu
         errors += [behavioural_cloning({"tall": action}, {"tall": episodes.action[other]})] * len(other)
     torch.testing.assert_close(loss, torch.stack(errors).mean(), rtol=1e-4, atol=1e-6)
     assert frames == len(errors)
+
+
+def test_rows_that_fill_a_batch_up_change_no_gradient(
+    data: TransferDataModule, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch, found = next(iter(data.loader(WHOLE))), []
+    for _ in range(2):
+        phase = ContextualCloning(contextual(data))
+        loss, _ = phase._loss(batch)
+        loss.backward()
+        found.append({name: parameter.grad for name, parameter in phase.named_parameters()})
+        monkeypatch.setattr(cloning, "with_rows_that_recur", lambda *sequences: sequences)
+    torch.testing.assert_close(*found, rtol=1e-4, atol=1e-6)
 
 
 def test_images_are_read_frame_by_frame(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from plp_lightning.methods.contextual.frames import Packing
@@ -160,3 +161,33 @@ def test_dropout_works_in_training_alone(encoder: TransformerEncoder) -> None:
     x, packed = frames((4,)), packing((4,))
     calls = [encoder(x, packed), encoder(x, packed), encoder.train()(x, packed), encoder(x, packed)]
     assert [torch.equal(a, b) for a, b in pairwise(calls)] == [True, False, False]
+
+
+@torch.no_grad()
+def test_those_who_were_shown_the_same_look_at_it_together(decoder: TransformerDecoder) -> None:
+    shown, x = frames((4, 2), seed=1), frames((1, 1))
+    cache = decoder.begin(shown, packing((4, 2)))
+    cache.take(torch.tensor([1, 0]))
+    assert cache.packing.mask.shape == (2, 1)
+    swapped = decoder.step(x, cache)
+    parts_shown = enumerate((shown[4:], shown[:4]))
+    each = [decoder.step(x[i : i + 1], decoder.begin(s, packing((len(s),)))) for i, s in parts_shown]
+    torch.testing.assert_close(swapped, torch.cat(each))
+    cache.take(torch.tensor([0, 0, 0]))
+    assert cache.packing.mask.sum(dim=1).tolist() == [0, 3]
+
+
+@pytest.mark.parametrize("lengths", [LENGTHS, (4, 4)])
+def test_in_half_precision_the_processor_attends_in_float32(
+    lengths: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, attend = set(), F.scaled_dot_product_attention
+
+    def noting(query: Tensor, *rest: Tensor, **settings: bool) -> Tensor:
+        seen.add(query.dtype)
+        return attend(query, *rest, **settings)
+
+    monkeypatch.setattr(F, "scaled_dot_product_attention", noting)
+    with torch.autocast("cpu", torch.bfloat16):
+        TransformerEncoder(WIDTH, HEADS, 1, HIDDEN, 0.0)(frames(lengths).float(), packing(lengths)).sum().backward()
+    assert seen == {torch.float32}
