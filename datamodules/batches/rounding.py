@@ -21,9 +21,9 @@ def rows_to_fill(rows: int, most: int | None = None) -> int:
     >>> [rows_to_fill(rows) + rows for rows in (5, 1000, 1023, 1024, 1030)]
     [6, 1024, 1024, 1088, 1088]
     """
-    unit = max(1, 2 ** (rows.bit_length() - 1) // SHAPES)
+    unit = max(1, (1 << (rows.bit_length() - 1)) // SHAPES)
     if most is not None:
-        unit = min(unit, 2 ** (most.bit_length() - 1))
+        unit = min(unit, 1 << (most.bit_length() - 1))
     return unit - rows % unit
 
 

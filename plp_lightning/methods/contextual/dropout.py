@@ -19,4 +19,5 @@ class Dropout(nn.Dropout):
         out_of, left_out = 2**BITS, min(round(self.p * 2**BITS), 2**BITS - 1)
         drawn = torch.empty(-(-x.numel() // 4), dtype=torch.int64).random_(-(2**63), None)
         kept = drawn.view(torch.int16)[: x.numel()].view_as(x) >= left_out - out_of // 2
-        return x * kept.to(x.dtype).mul_(out_of / (out_of - left_out))
+        scale: Tensor = kept.to(x.dtype)
+        return x * scale.mul_(out_of / (out_of - left_out))

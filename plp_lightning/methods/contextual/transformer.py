@@ -52,8 +52,11 @@ class Attention(nn.Module):
         dtype = torch.promote_types(query.dtype, torch.float32)
         queries = query.to(dtype).split(lengths)
         keys, values = (part.split(seen_lengths) for part in key_value.to(dtype).chunk(2, dim=1))
-        parts = [[self._heads(x[None]) for x in part] for part in zip(queries, keys, values, strict=True)]
-        return torch.cat([_attend(*part, causal=causal).transpose(1, 2).flatten(0, 1) for part in parts]).flatten(1)
+        found = [
+            _attend(self._heads(q[None]), self._heads(k[None]), self._heads(v[None]), causal=causal)
+            for q, k, v in zip(queries, keys, values, strict=True)
+        ]
+        return torch.cat([x.transpose(1, 2).flatten(0, 1) for x in found]).flatten(1)
 
     def remember(self, x: Tensor, packing: Packing) -> Tensor:
         """Keys and values ``(2, P, H, T, W / H)`` of frames ``(F, W)``."""
@@ -77,7 +80,8 @@ class Attention(nn.Module):
 
     def _heads(self, x: Tensor) -> Tensor:
         """``(P, T, W)`` → ``(P, H, T, W / H)``."""
-        return x.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        heads: Tensor = x.unflatten(-1, (self.heads, -1))
+        return heads.transpose(1, 2)
 
     def _padded(self, key_value: Tensor, packing: Packing) -> Tensor:
         """``(F, 2 W)`` → ``(2, P, H, T, W / H)``."""
