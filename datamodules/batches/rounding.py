@@ -1,9 +1,11 @@
-"""Numbers of rows that come again: in bfloat16 a processor makes a program for each shape of a matrix when it is new.
+"""Numbers of rows that come again: in bfloat16 a processor makes a program for each shape of a matrix, once.
 
-That takes ten times as long as the product of a batch's rows itself, so batches whose rows vary are filled up a little.
+That takes ten times as long as a batch's product, so batches whose rows vary are filled up a little.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor
@@ -27,14 +29,15 @@ def rows_to_fill(rows: int, most: int | None = None) -> int:
     return unit - rows % unit
 
 
-def with_rows_that_recur(*sequences: PackedTrajectories) -> tuple[PackedTrajectories, ...]:
-    """Put one more trajectory behind those ``(P, T)`` of each domain, whose frames fill their number up.
+def wants_rows_that_recur(sequences: Iterable[PackedTrajectories]) -> bool:
+    """Tell whether programs are made for these ``(P, T)``: on a processor, in half precision, if their rows vary."""
+    rows_vary = [s.mask.device.type == "cpu" and not is_filled(s) for s in sequences]
+    return torch.is_autocast_enabled("cpu") and bool(rows_vary) and all(rows_vary)
 
-    On a processor alone, and where no domain's trajectories were filled up themselves: all have as many afterwards.
-    """
-    if any(s.mask.device.type != "cpu" or is_filled(s) for s in sequences):
-        return sequences
-    return tuple(map(_with_one_more, sequences))
+
+def with_rows_that_recur(*sequences: PackedTrajectories) -> tuple[PackedTrajectories, ...]:
+    """Put one more trajectory, if it is worth it, behind those ``(P, T)`` of each domain: it fills their frames up."""
+    return tuple(map(_with_one_more, sequences)) if wants_rows_that_recur(sequences) else sequences
 
 
 def _with_one_more(sequences: PackedTrajectories) -> PackedTrajectories:

@@ -13,7 +13,7 @@ from torch import Tensor
 from datamodules.errors import ConfigError
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.methods.plp import Alignment
+from plp_lightning.methods.plp import Alignment, alignment
 from plp_lightning.methods.plp.losses import (
     domain_discriminator_loss,
     domain_generator_loss,
@@ -191,3 +191,27 @@ def test_mmd_has_the_kernels_asked_for(trajectory_file: Path) -> None:
     found = Recorded(policy, {"mmd": partial(MMD, bandwidths=(1.0, 0.2))})
     found.training_step(batch, 0)
     torch.testing.assert_close(found.parts["mmd"], mmd(latents, bandwidths=[1.0, 0.2]))
+
+
+def test_rows_that_fill_a_batch_up_change_no_gradient(trajectory_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data, found, rows = tiny.data_module(trajectory_file), [], list[int]()
+    for _ in range(2):
+        phase = build(tiny.policy(data), ["mmd", "tcc"])
+        phase.policy.encoder.register_forward_hook(lambda module, args, out: rows.append(len(out)))
+        phase.training_step(next(iter(data.loader(phase.batch_spec))), 0).backward()
+        found.append({name: parameter.grad for name, parameter in phase.named_parameters()})
+        monkeypatch.setattr(alignment, "wants_rows_that_recur", lambda sequences: True)
+    assert rows[1] > rows[0]
+    torch.testing.assert_close(*found, rtol=1e-4, atol=1e-6)
+
+
+def test_rows_are_filled_up_in_half_precision_alone(trajectory_file: Path) -> None:
+    data, rows = tiny.data_module(trajectory_file), list[int]()
+    phase = build(tiny.policy(data), ["tcc"])
+    phase.policy.encoder.register_forward_hook(lambda module, args, out: rows.append(len(out)))
+    for half in (False, True):
+        for _, batch in zip(range(3), data.loader(phase.batch_spec), strict=False):
+            with torch.autocast("cpu", torch.bfloat16, enabled=half):
+                phase.training_step(batch, 0)
+    assert sum(rows[3:]) > sum(rows[:3])
+    assert all(half >= single for single, half in zip(rows[:3], rows[3:], strict=True))

@@ -13,13 +13,13 @@ import torch
 from lightning.pytorch import Trainer
 from torch import Tensor
 
+from datamodules.batches import rounding
 from datamodules.errors import ConfigError, UserError
 from datamodules.transfer import TransferDataModule
 from datamodules.types import BatchSpec, Observation, PackedTrajectories
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods import ContextualCloning, ContextualPolicy
-from plp_lightning.methods.contextual import cloning
 from plp_lightning.methods.contextual.cloning import prompt_episodes
 from plp_lightning.methods.contextual.policy import first_frames, last_frames
 from plp_lightning.methods.optimization import CosineDecay
@@ -197,13 +197,15 @@ def test_the_loss_is_the_mean_over_all_steps_of_all_pairs(data: TransferDataModu
 def test_rows_that_fill_a_batch_up_change_no_gradient(
     data: TransferDataModule, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    batch, found = next(iter(data.loader(WHOLE))), []
+    batch, found, rows = next(iter(data.loader(WHOLE))), [], list[int]()
     for _ in range(2):
         phase = ContextualCloning(contextual(data))
+        phase.policy.seen.register_forward_hook(lambda module, args, out: rows.append(len(out)))
         loss, _ = phase._loss(batch)
         loss.backward()
         found.append({name: parameter.grad for name, parameter in phase.named_parameters()})
-        monkeypatch.setattr(cloning, "with_rows_that_recur", lambda *sequences: sequences)
+        monkeypatch.setattr(rounding, "wants_rows_that_recur", lambda sequences: True)
+    assert rows[1] > rows[0]
     torch.testing.assert_close(*found, rtol=1e-4, atol=1e-6)
 
 
