@@ -127,7 +127,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 class RandomState(Callback):
     """Carries the random state over an interruption.
 
-    It is put back at the first batch after loading, because building loaders draws random numbers too.
+    It is put back at the first batch after loading, because building loaders draws random numbers too. Other ranks
+    take that of rank 0 at the first batch of every epoch: rank 0 alone may have drawn in between.
     """
 
     def __init__(self) -> None:
@@ -142,6 +143,9 @@ class RandomState(Callback):
         self.loaded = state_dict
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
+        if self.loaded is None and batch_idx == 0 and trainer.world_size > 1:
+            state = trainer.strategy.broadcast(self.state_dict())
+            self.loaded = None if trainer.is_global_zero else state
         if self.loaded is None:
             return
         torch.set_rng_state(self.loaded["torch"])

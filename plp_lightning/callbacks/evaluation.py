@@ -14,7 +14,7 @@ from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
 from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.policy import AligningPolicy
+from plp_lightning.methods.policy import AligningPolicy, Policy
 
 FIRST_GUESS = 1.0  # what an evaluation is taken to cost before the first one, s
 SHARE = 0.1  # share of the time since the last evaluation that the next one may take if nothing else is asked for
@@ -56,7 +56,8 @@ class SimulatorEvaluation(Callback):
         self.began = self.last = time.monotonic()
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        if self._due(trainer.current_epoch + 1, trainer.max_epochs or 1) and isinstance(pl_module, Phase):
+        due = trainer.strategy.broadcast(self._due(trainer.current_epoch + 1, trainer.max_epochs or 1))
+        if due and isinstance(pl_module, Phase):
             began = time.monotonic()
             self._evaluate(trainer, pl_module)
             self.last = time.monotonic()
@@ -71,14 +72,19 @@ class SimulatorEvaluation(Callback):
         return self.every_n_epochs > 0 and epoch % self.every_n_epochs == 0
 
     def _evaluate(self, trainer: Trainer, phase: Phase) -> None:
-        training, plan = phase.policy.training, (self.eval_settings, self.episodes, self.seed, self.metrics)
-        with forgiving("this evaluation is left away"):
-            found = dict[str, float]()
-            for name, outcome in evaluate_all(phase.policy.eval(), self.simulators, *plan).items():
-                told = {"success": outcome.success, "invalid": float(outcome.invalid), **outcome.behaviour}
-                found |= {f"eval/{name}_{measure}": value for measure, value in told.items()}
-            _log_at_once(trainer, phase, found)
+        training, found = phase.policy.training, dict[str, float]()
+        if trainer.is_global_zero:
+            with forgiving("this evaluation is left away"):
+                found = self._found(phase.policy.eval())
+        _log_at_once(trainer, phase, found)
         phase.policy.train(training)
+
+    def _found(self, policy: Policy) -> dict[str, float]:
+        found, plan = dict[str, float](), (self.eval_settings, self.episodes, self.seed, self.metrics)
+        for name, outcome in evaluate_all(policy, self.simulators, *plan).items():
+            told = {"success": outcome.success, "invalid": float(outcome.invalid), **outcome.behaviour}
+            found |= {f"eval/{name}_{measure}": value for measure, value in told.items()}
+        return found
 
 
 class AlignmentMetrics(Callback):
@@ -99,18 +105,23 @@ class AlignmentMetrics(Callback):
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         turn = self.every_n_epochs > 0 and (trainer.current_epoch + 1) % self.every_n_epochs == 0
         if turn and isinstance(pl_module, Phase) and isinstance(pl_module.policy, AligningPolicy):
-            with forgiving("alignment scores that need it are left away"):
-                scores = self.score(pl_module.policy, self.data, self.simulators)
-                _log_at_once(trainer, pl_module, {f"alignment/{name}": value for name, value in scores.items()})
+            found = dict[str, float]()
+            if trainer.is_global_zero:
+                with forgiving("alignment scores that need it are left away"):
+                    scores = self.score(pl_module.policy, self.data, self.simulators)
+                    found = {f"alignment/{name}": value for name, value in scores.items()}
+            _log_at_once(trainer, pl_module, found)
 
 
 def _log_at_once(trainer: Trainer, phase: Phase, metrics: Mapping[str, float]) -> None:
     """Log what an epoch came to before its checkpoint is saved: whoever is killed after that has it in the curves.
 
-    Lightning would write it after the epoch's last hook, at the step that is used here.
+    Lightning would write it after the epoch's last hook, at the step that is used here. All ranks know what rank 0 has
+    found, for a callback may go by it.
     """
+    metrics = trainer.strategy.broadcast(metrics)
     for name, value in metrics.items():
         phase.log(name, value, logger=False)
-    for logger in trainer.loggers:
+    for logger in trainer.loggers if metrics else ():
         step = trainer.fit_loop.epoch_loop._batches_that_stepped - 1
         logger.log_metrics({**metrics, "epoch": trainer.current_epoch}, step)

@@ -11,16 +11,19 @@ from pathlib import Path
 
 from datamodules.errors import ConfigError
 from plp_lightning.cli.brief_help import brief_help
-from plp_lightning.cli.config import help_parser, parse, read, tell, trusted
+from plp_lightning.cli.config import help_parser, option_values, parse, read, tell, trusted
 from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
 from plp_lightning.cli.yaml_files import read_yaml
+from plp_lightning.placement import stand_alone
+from plp_lightning.runs.crew import Crew, own_place
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import fit
+from plp_lightning.runs.following import follow
 from plp_lightning.runs.rehearsal import check_demonstrations, check_method
 from plp_lightning.runs.results import print_results
-from plp_lightning.runs.trainer import check_trainer
+from plp_lightning.runs.trainer import check_devices, check_trainer, device_count
 from plp_lightning.runs.versions import versions
 
 EXPERT_STEPS = 3_000_000  # Enough for a gait that falls over in few episodes; a quarter of an hour on one core
@@ -49,6 +52,7 @@ def run_fit(arguments: Sequence[str]) -> None:
 
 def _begin(arguments: Sequence[str], phase: str | None, origin: str | None) -> None:
     experiment, changes = read(arguments)
+    _follow_if_told(experiment)
     wanted = _wanted(experiment, phase, origin)
     if origin is not None:
         _check_origin(experiment, Path(origin))
@@ -58,23 +62,43 @@ def _begin(arguments: Sequence[str], phase: str | None, origin: str | None) -> N
     tell(changes)
     # Absolute, so that the run can be resumed from anywhere.
     plan = {"wanted": wanted, "origin": None if origin is None else str(Path(origin).resolve())}
-    _fit(experiment, RunDirectory.create(experiment.run_path, experiment.config, _environment(), plan))
+    run = RunDirectory.create(experiment.run_path, experiment.config, _environment(), plan)
+    _fit(experiment, run, _resuming(run, arguments))
 
 
 def _resume(path: Path, rest: list[str], others: str | None) -> None:
     run = RunDirectory.open(path)
     trusting = OptionParser(add_help=False, allow_abbrev=False)
     trusting.add_argument("--allow_imports", action="append", default=[])
+    trusting.add_argument("--trainer.devices", dest="devices")
     options, more = trusting.parse_known_args(rest)
     if others or more:
-        remedy = "drop all options but --allow_imports"
+        remedy = "drop all options but --allow_imports and --trainer.devices"
         raise ConfigError(f"--resume goes on with the configuration in {run.config}; {remedy}")
     if run.status()["state"] == "done" and run.results.exists():
         print_results(run.read_results(), run)
         print(f"{path}: done already; nothing was changed")
         return
     run.check_begun()
-    _fit(parse([*_kept_words(run), *trusted(options.allow_imports)]), run)
+    devices = [] if options.devices is None else ["--trainer.devices", options.devices]
+    experiment = parse([*_kept_words(run), *devices, *trusted(options.allow_imports)])
+    check_devices(experiment)
+    _follow_if_told(experiment)
+    _fit(experiment, run, ["--resume", str(path), *rest])
+
+
+def _follow_if_told(experiment: Experiment) -> None:
+    """Go on as one of several ranks, of which the first has the run to itself, if this process was started as one."""
+    own = own_place(device_count(experiment.trainer))
+    if own is None:
+        stand_alone()
+    elif own.rank > 0:
+        follow(experiment, own)
+
+
+def _resuming(run: RunDirectory, arguments: Sequence[str]) -> list[str]:
+    """Words that further ranks of a run are started with."""
+    return ["--resume", str(run.path), *trusted(option_values(arguments, "allow_imports"))]
 
 
 def _kept_words(run: RunDirectory) -> list[str]:
@@ -84,15 +108,16 @@ def _kept_words(run: RunDirectory) -> list[str]:
     return ["--config", str(run.config), *(["--data.epoch_steps", "1"] if older else [])]
 
 
-def _fit(experiment: Experiment, run: RunDirectory) -> None:
-    with run.locked(), run.failures_noted():
+def _fit(experiment: Experiment, run: RunDirectory, words: Sequence[str]) -> None:
+    crew = Crew(device_count(experiment.trainer), words)
+    with run.locked(), run.failures_noted(), crew:
         status = run.status()
         origin = RunDirectory.open(Path(status["origin"])) if status.get("origin") else None
         wanted = status.get("wanted") or list(experiment.method.phases)
         if unknown := [name for name in wanted if name not in experiment.method.phases]:
             told = f"{run.path / 'status.json'}: wants phase {unknown[0]!r}"
             raise ConfigError(f"{told}; the phases of {run.config} are {', '.join(experiment.method.phases)}")
-        fit(experiment, run, wanted, origin)
+        fit(experiment, run, wanted, origin, crew=crew)
 
 
 def _wanted(experiment: Experiment, phase: str | None, origin: str | None) -> list[str]:

@@ -14,6 +14,7 @@ from plp_lightning.cli.failures import answer_to, tell_of_threads
 from plp_lightning.cli.screen import loss, steady_screen
 from plp_lightning.cli.surroundings import settle_surroundings
 from plp_lightning.cli.words import read_words
+from plp_lightning.placement import is_first, stand_alone
 from plp_lightning.stopping import stoppable
 
 VERBS = {
@@ -49,6 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run a verb; a user's mistake is one line on standard error and exit code 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     settle_surroundings()
+    if words[:1] != ["fit"]:
+        stand_alone()
     steady_screen()
     tell_of_threads()
     way_on = "plp fit --resume RUN_DIR" if words[:1] == ["fit"] else "the same command"
@@ -81,7 +84,8 @@ def _tell_loss(words: Sequence[str]) -> None:
 
 
 def _leave(message: str, code: int) -> NoReturn:
-    print(f"plp: {one_line(message)}", file=sys.stderr)
+    if is_first():
+        print(f"plp: {one_line(message)}", file=sys.stderr)
     sys.exit(code)
 
 

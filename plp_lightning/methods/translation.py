@@ -22,6 +22,7 @@ from plp_lightning.methods.phase import CachedStates
 from plp_lightning.methods.policy import AligningPolicy
 from plp_lightning.networks import InputScaler, mlp
 from plp_lightning.networks.cameras import check_seen
+from plp_lightning.networks.ranks import dealt
 from plp_lightning.networks.vision import initialise, pixel_coordinates
 
 NO_CHANGE = 1e-6
@@ -55,6 +56,9 @@ class SpatialEncoder(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Uint8 ``(B, H, W, C)`` → points ``(B, 2 P)`` in [-1, 1]: row and column of each in turn."""
+        return dealt(self._points, image)
+
+    def _points(self, image: Tensor) -> Tensor:
         pixels = image.to(self.coordinates.dtype) / 255
         maps: Tensor = self.convolutions(pixels.permute(0, 3, 1, 2))
         where = (self.sharpness.exp() * maps.flatten(2)).softmax(dim=2)
@@ -72,7 +76,7 @@ class PointDecoder(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """``(B, 2 P)`` → ``(B, H/4, W/4, C)`` in (0, 1)."""
-        return torch.sigmoid(self.net(points).unflatten(1, self.shape))
+        return torch.sigmoid(dealt(self.net, points).unflatten(1, self.shape))
 
 
 class Perception(nn.Module):

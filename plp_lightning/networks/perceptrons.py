@@ -7,6 +7,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from plp_lightning.networks.ranks import dealt
+
 
 def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
     """Builds ``layers`` hidden layers of ``hidden`` GELU units, then one linear layer: ``(B, N)`` → ``(B, M)``."""
@@ -24,8 +26,7 @@ class StateEncoder(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """``(B, inputs)`` → ``(B, Z)``."""
-        latent: Tensor = self.net(x)
-        return latent
+        return dealt(self.net, x)
 
 
 class TaskNetwork(nn.Module):
@@ -47,8 +48,7 @@ class TaskNetwork(nn.Module):
     def forward(self, x: Tensor, task: Tensor) -> Tensor:
         """``(B, N)`` and int64 ``(B,)`` → ``(B, M)``."""
         one_hot = nn.functional.one_hot(task, self.tasks).to(x.dtype)
-        out: Tensor = self.net(torch.cat([x, one_hot], dim=-1))
-        return out
+        return dealt(self.net, torch.cat([x, one_hot], dim=-1))
 
 
 class ActionDecoder(nn.Module):
@@ -72,7 +72,7 @@ class ActionDecoder(nn.Module):
 
     def forward(self, latent_action: Tensor, context: Tensor) -> Tensor:
         """``(B, Z)`` and ``(B, context)`` → ``(B, actions)``."""
-        raw: Tensor = self.net(torch.cat([latent_action, context], dim=-1))
+        raw = dealt(self.net, torch.cat([latent_action, context], dim=-1))
         # Adaptation begins with the latent actions of a task that was never trained. Where these drive the frozen
         # tanh far into saturation, its own slope is exactly zero in float32 and nothing could lead out again.
         return torch.tanh(raw) + self.gradient_floor * (raw - raw.detach())

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from datamodules.settings import PositiveInt
 from plp_lightning.networks.image_encoders import ImageEncoderFactory, ImageShape
+from plp_lightning.networks.ranks import dealt
 
 KERNEL, STRIDE, PADDING = 3, 2, 1
 UNTRAINED_BYTES = 64 * 2**20
@@ -69,8 +70,9 @@ class ImageEncoder(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Uint8 ``(B, H, W, C)`` → ``(B, F)``; without gradients a few images at a time."""
-        if torch.is_grad_enabled():
-            return self._features(image)
+        return dealt(self._features if torch.is_grad_enabled() else self._few_at_a_time, image)
+
+    def _few_at_a_time(self, image: Tensor) -> Tensor:
         return torch.cat([self._features(part) for part in image.split(self.most_rows)])
 
     def _features(self, image: Tensor) -> Tensor:
@@ -106,6 +108,9 @@ class ImageDecoder(nn.Module):
 
     def forward(self, latent: Tensor, place: Tensor) -> Tensor:
         """``(B, Z)`` and int64 ``(B,)`` → ``(B, H, W, C)`` in (0, 1)."""
+        return dealt(self._draw, latent, place)
+
+    def _draw(self, latent: Tensor, place: Tensor) -> Tensor:
         one_hot = nn.functional.one_hot(place, self.places).to(latent.dtype)
         maps = self.linear(torch.cat([latent, one_hot], dim=-1)).unflatten(1, self.start)
         image: Tensor = self.convolutions(maps.contiguous(memory_format=torch.channels_last))

@@ -15,15 +15,15 @@ from plp_lightning.runs.trainer import quiet_lightning
 
 
 def resolved_device(settings: Mapping[str, Any]) -> torch.device:
-    """Give the device that the Trainer's ``accelerator`` and ``devices`` come to, or the processor if it isn't here.
+    """Give the device that the Trainer's ``accelerator`` comes to, or the processor if it isn't here.
 
+    One device is enough to act, however many a run was trained on.
     A run of another machine can be looked at without the device that it was trained on.
     """
     quiet_lightning()
-    asked = {name: settings[name] for name in ("accelerator", "devices") if settings.get(name) is not None}
     silent: dict[str, Any] = {"logger": False, "enable_checkpointing": False, "enable_progress_bar": False}
     try:
-        return Trainer(**asked, **silent).strategy.root_device
+        return Trainer(accelerator=settings.get("accelerator") or "auto", devices=1, **silent).strategy.root_device
     except (MisconfigurationException, ValueError, ImportError):
         return torch.device("cpu")
 

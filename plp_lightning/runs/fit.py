@@ -18,6 +18,7 @@ from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
 from plp_lightning.runs.before import note_before
 from plp_lightning.runs.board import Progress, log_end
+from plp_lightning.runs.crew import Crew, Job
 from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.devices import device_name, on_device
 from plp_lightning.runs.directory import RunDirectory
@@ -25,18 +26,21 @@ from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import load_policy_weights
 from plp_lightning.runs.records import file_hash, record_hash
 from plp_lightning.runs.results import write_results
-from plp_lightning.runs.resumption import check_done, resumption, weights_before
+from plp_lightning.runs.resumption import Resumption, check_done, resumption, weights_before
 from plp_lightning.runs.specs import check_checkpoint
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.runs.trainer import build_trainer
 from plp_lightning.runs.versions import commit
 
 
-def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: RunDirectory | None = None) -> None:
+def fit(
+    experiment: Experiment, run: RunDirectory, phases: list[str], origin: RunDirectory | None = None, *, crew: Crew
+) -> None:
     """Run the phases that are not done yet, one after the other.
 
     A phase always begins from the last checkpoint of the one before, on disk, so that a run that was interrupted
     anywhere takes the same way as an unbroken one. Phases of the run ``origin`` stand in for those before the first.
+    All ranks of the ``crew`` train, this one does everything else.
     """
     torch.set_num_threads(experiment.threads)
     commit()  # as it is now: the checkout may change until the results are written
@@ -50,31 +54,41 @@ def fit(experiment: Experiment, run: RunDirectory, phases: list[str], origin: Ru
             weights = weights_before(experiment, run, name, origin)
             if origin is not None and weights is not None and phases == [name]:
                 note_before(experiment, run, name, weights, origin)
-            _run_phase(experiment, run, name, weights)
+            _run_phase(experiment, run, name, weights, crew)
     write_results(experiment, run, origin)
     run.finish()
 
 
-def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None) -> None:
+def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None, crew: Crew) -> None:
     """Train one phase from ``weights``, or from its own last checkpoint if it was interrupted, and evaluate it."""
+    resumed = resumption(run, name)
+    crew.tell(Job(run.path, name, weights))
     stopwatch = Stopwatch(run, name)
     run.update_status("running", name, {"state": "running"})
     with stopwatch.running():
-        seed_everything(experiment.seed, workers=True, verbose=False)
-        policy = experiment.build_policy()
-        if weights is not None:
-            load_policy_weights(policy, weights)
-        phase = experiment.method.phases[name](policy)
-        resumed = resumption(run, name)
+        phase = prepare_phase(experiment, name, weights)
         trainer = build_trainer(experiment, run, name, phase, resumed, stopwatch)
-        trainer.fit(
-            phase, datamodule=experiment.data, ckpt_path=resumed.checkpoint if resumed else None, weights_only=True
-        )
+        train(trainer, experiment, phase, resumed)
         record = assess(experiment, phase, trainer)
         last = [*(run.status().get("wanted") or experiment.method.phases)][-1] == name
         log_end(trainer, experiment, record, last)
     made = {**Progress.of(trainer)._asdict(), "device": device_name(trainer.strategy.root_device)}
     _note_done(run, name, record | made)
+
+
+def prepare_phase(experiment: Experiment, name: str, weights: Path | None) -> Phase:
+    """Build a phase and its policy, with ``weights`` if there are any; every rank draws the same random numbers."""
+    seed_everything(experiment.seed, workers=True, verbose=False)
+    policy = experiment.build_policy()
+    if weights is not None:
+        load_policy_weights(policy, weights)
+    return experiment.method.phases[name](policy)
+
+
+def train(trainer: Trainer, experiment: Experiment, phase: Phase, resumed: Resumption | None) -> None:
+    """Take all steps of a phase that are left."""
+    place = resumed.checkpoint if resumed else None
+    trainer.fit(phase, datamodule=experiment.data, ckpt_path=place, weights_only=True)
 
 
 def _note_done(run: RunDirectory, name: str, record: dict[str, Any]) -> None:

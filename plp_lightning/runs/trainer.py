@@ -11,6 +11,7 @@ from typing import Any
 
 from lightning.fabric.plugins.environments.lightning import LightningEnvironment
 from lightning.pytorch import Callback, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.profilers import AdvancedProfiler, PyTorchProfiler, SimpleProfiler
 
@@ -34,6 +35,7 @@ from plp_lightning.runs.phase_progress import PhaseProgress
 from plp_lightning.runs.resumption import Resumption
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.steps.loop import step_quickly
+from plp_lightning.steps.together import DealtSteps
 
 COUNTS = ("log_every_n_steps", "accumulate_grad_batches", "check_val_every_n_epoch")  # Lightning divides by them
 ENDLESS = ("max_steps", "num_sanity_val_steps")  # -1 means all of them
@@ -58,6 +60,8 @@ NOT_FOR_US = (
     r"The `srun` command is available on your system but is not used",
     # Who asks for the processor means it.
     r"GPU available but not used",
+    # Every rank validates all that is held out, and comes to the same.
+    r"It is recommended to use `self.log\(.*, sync_dist=True\)`",
     # Lightning 2.6 uses a name that newer torch deprecates.
     r".*isinstance\(treespec, LeafSpec\)",
 )
@@ -76,10 +80,7 @@ def check_trainer(experiment: Experiment) -> None:
     if str(settings.get("precision")) in HALVES:
         told = f"trainer.precision is {settings['precision']}; expected bf16-mixed or 16-mixed"
         raise ConfigError(f"{told}: policies act on states of 32 bits, with weights of 32 bits or more")
-    devices, strategy = settings.get("devices"), settings.get("strategy")
-    if devices not in (1, "1", "auto", None) or strategy not in ("auto", None) or settings.get("num_nodes", 1) != 1:
-        told = f"trainer.devices is {devices} and trainer.strategy {strategy}"
-        raise ConfigError(f"{told}; expected 1 and auto: a run uses one device; start several runs side by side")
+    check_devices(experiment)
     try:
         callbacks = [*best_and_last(Path(), Phase.monitor), *copy.deepcopy([*experiment.callbacks])]
         loggers = further_loggers(experiment, experiment.run_path, next(iter(experiment.method.phases)))
@@ -88,6 +89,33 @@ def check_trainer(experiment: Experiment) -> None:
         raise
     except Exception as error:  # Lightning's own, and what its parts raise for values that it does not look at
         raise ConfigError(f"trainer: {error}; mend --trainer or --callbacks") from None
+
+
+def device_count(settings: Mapping[str, Any]) -> int:
+    """Give the number of devices that a run computes on: one, unless the Trainer's ``devices`` asks for more.
+
+    Raises:
+        ConfigError: If it is no such number.
+    """
+    devices = settings.get("devices")
+    count = 1 if devices in ("auto", None) else int(devices) if str(devices).isdecimal() else 0
+    if count < 1:
+        raise ConfigError(f"trainer.devices is {devices}; expected the number of a machine's devices to use, 1 or more")
+    return count
+
+
+def check_devices(experiment: Experiment) -> None:
+    """Refuse, by a :class:`ConfigError`, devices that a run can't be dealt out to."""
+    settings, rows = experiment.trainer, experiment.data.batching.batch_size
+    count = device_count(settings)
+    if settings.get("strategy") not in ("auto", None):
+        told = f"trainer.strategy is {settings['strategy']}"
+        raise ConfigError(f"{told}; expected auto: how devices work together follows from trainer.devices")
+    if settings.get("num_nodes", 1) != 1:
+        raise ConfigError(f"trainer.num_nodes is {settings['num_nodes']}; expected 1: a run is on one machine")
+    if count > rows:
+        told = f"trainer.devices is {count}, more than the {rows} rows of a batch (data.batch_size)"
+        raise ConfigError(f"{told}; expected a row for each: use fewer devices, or a larger batch")
 
 
 def _check_number(name: str, value: object) -> None:
@@ -105,15 +133,19 @@ def _check_number(name: str, value: object) -> None:
 
 
 def _lightning(settings: Mapping[str, Any], folder: Path, loggers: list[Logger], callbacks: list[Callback]) -> Trainer:
-    """Lightning's Trainer; whatever scheduler started the process, it is a run of its own on one device."""
-    return Trainer(
-        **settings,
+    """Lightning's Trainer; whatever scheduler started the process, its settings say who computes along."""
+    count = device_count(settings)
+    trainer = Trainer(
+        **{**settings, "devices": count, "strategy": DealtSteps() if count > 1 else "auto"},
         default_root_dir=folder,
         logger=loggers,
         callbacks=callbacks,
         plugins=[AtomicCheckpointIO(), LightningEnvironment()],
         enable_progress_bar=False,
     )
+    if count > 1:  # Lightning's own handler calls other ranks, which do not listen; Preemption needs none of them
+        trainer._signal_connector.register_signal_handlers = lambda: None  # type: ignore[method-assign]
+    return trainer
 
 
 def build_trainer(
@@ -121,11 +153,7 @@ def build_trainer(
 ) -> Trainer:
     """Lightning's Trainer with all that is done around a phase's steps; curves beyond a resumed step are dropped."""
     quiet_lightning()
-    settings = {**experiment.trainer, "max_epochs": experiment.trainer["max_epochs"] or phase.epochs}
-    if experiment.data.val_fraction == 0:
-        settings["limit_val_batches"] = 0
-    if resumed is not None and resumed.over:
-        settings["max_steps"] = resumed.step  # no further step
+    settings = _phase_settings(experiment, phase, resumed)
     if settings.get("profiler") in PROFILERS:
         settings["profiler"] = PROFILERS[settings["profiler"]](run.phase(name), "profile")
         print(visible(f"{name}: its profile goes into {run.phase(name)}/fit-profile.txt"), flush=True)
@@ -136,9 +164,30 @@ def build_trainer(
     callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
     further = further_loggers(experiment, run.path, name)
     trainer = _lightning(settings, run.path, [curves, MetricsFile(run.phase(name)), *further], callbacks)
-    step_quickly(trainer, capture=experiment.cuda_graphs)
+    step_quickly(trainer, capture=experiment.cuda_graphs and trainer.world_size == 1)
     tell_settings(further, all_settings(experiment))
     return trainer
+
+
+def joining_trainer(
+    experiment: Experiment, run: RunDirectory, name: str, phase: Phase, resumed: Resumption | None
+) -> Trainer:
+    """Trainer of a rank beside the one that owns the run: it takes the same steps and writes nothing."""
+    quiet_lightning()
+    settings = _phase_settings(experiment, phase, resumed) | {"profiler": None, "enable_model_summary": False}
+    callbacks = [*_callbacks_of_all(experiment, name, phase), *copy.deepcopy([*experiment.callbacks])]
+    trainer = _lightning(settings, run.path, [], [*callbacks, *_checkpointing(experiment, run, name, phase)])
+    step_quickly(trainer, capture=False)
+    return trainer
+
+
+def _phase_settings(experiment: Experiment, phase: Phase, resumed: Resumption | None) -> dict[str, Any]:
+    settings = {**experiment.trainer, "max_epochs": experiment.trainer["max_epochs"] or phase.epochs}
+    if experiment.data.val_fraction == 0:
+        settings["limit_val_batches"] = 0
+    if resumed is not None and resumed.over:
+        settings["max_steps"] = resumed.step  # no further step
+    return settings
 
 
 def quiet_lightning() -> None:
@@ -148,7 +197,8 @@ def quiet_lightning() -> None:
         warnings.filterwarnings("ignore", message=message)
 
 
-def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> list[Callback]:
+def _callbacks_of_all(experiment: Experiment, name: str, phase: Phase) -> list[Callback]:
+    """Callbacks that every rank has."""
     plan, simulators = experiment.evaluation, experiment.simulators
     found: list[Callback] = [FreezeGuard(), FiniteGuard(), RandomState()]
     if phase.policy_acts and (settings := experiment.eval_settings_of(phase.policy)):
@@ -157,11 +207,21 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: 
         found.append(SimulatorEvaluation(*evaluation))
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
+    return found
+
+
+def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> list[Callback]:
+    plan, simulators = experiment.evaluation, experiment.simulators
+    found = _callbacks_of_all(experiment, name, phase)
     if plan.latent_states > 0:
         drawn = plan.latent_states, plan.latent_every_n_epochs, plan.latent_pairs
         found.append(LatentPicture(*drawn, experiment.score, simulators))
     if plan.reconstructions > 0:
         found.append(ReconstructionPicture(plan.reconstructions))
-    last, monitor = run.checkpoint(name), phase.monitor if experiment.data.val_fraction > 0 else None
-    found.append(Owner(last, run.identity, name))
-    return [*found, PhaseProgress(name), *best_and_last(last.parent, monitor)]
+    found += [Owner(run.checkpoint(name), run.identity, name), PhaseProgress(name)]
+    return [*found, *_checkpointing(experiment, run, name, phase)]
+
+
+def _checkpointing(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> list[ModelCheckpoint]:
+    monitor = phase.monitor if experiment.data.val_fraction > 0 else None
+    return best_and_last(run.checkpoint(name).parent, monitor)

@@ -30,10 +30,10 @@ def takes_bare_steps(trainer: Trainer) -> bool:
 def bare_step(trainer: Trainer, batch: Batch, batch_idx: int) -> Tensor:
     """Take a training step of the trainer's module; gives its loss, a scalar."""
     module, optimizer = trainer.lightning_module, trainer.optimizers[0]
-    with trainer.precision_plugin.train_step_context():
-        loss = cast("Tensor", module.training_step(batch, batch_idx))
+    loss = cast("Tensor", trainer.strategy.training_step(batch, batch_idx))
     optimizer.zero_grad()
     loss.backward()
+    trainer.strategy.post_backward(loss)
     if trainer.gradient_clip_val:
         module.clip_gradients(optimizer, trainer.gradient_clip_val, trainer.gradient_clip_algorithm)
     optimizer.step()

@@ -69,6 +69,9 @@ class QuickLoop(_TrainingEpochLoop):
             self.silent = not self._results
         return None
 
+    def _broadcast_sigterm_tensor(self) -> None:
+        """Ask no other rank, in any step: :class:`Preemption` listens to signals."""
+
     def _at_an_end(self) -> bool:
         """True before the first step of an epoch, and before the last."""
         return not 0 < self.batch_progress.current.ready < self.trainer.num_training_batches - 1

@@ -15,6 +15,7 @@ from datamodules.settings import Depth, PositiveInt
 from plp_lightning.methods.policy import Observations, Parts
 from plp_lightning.methods.translation import TranslatingPolicy
 from plp_lightning.networks import ActionDecoder, StateEncoder, mlp
+from plp_lightning.networks.ranks import dealt
 
 
 class TargetDynamics(nn.Module):
@@ -26,8 +27,7 @@ class TargetDynamics(nn.Module):
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
         """``(B, S)`` and ``(B, A)`` → the next state ``(B, S)``."""
-        change: Tensor = self.net(torch.cat([state, action], dim=1))
-        return state + change
+        return state + dealt(self.net, torch.cat([state, action], dim=1))
 
 
 class GamaPolicy(TranslatingPolicy):

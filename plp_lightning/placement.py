@@ -1,0 +1,67 @@
+"""PLACEMENT: what a launcher, torchrun or srun, has told this process about those that it started beside it."""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from typing import NamedTuple
+
+from datamodules.errors import ConfigError
+
+TOLD = (
+    *("RANK", "LOCAL_RANK", "GROUP_RANK", "NODE_RANK", "WORLD_SIZE", "LOCAL_WORLD_SIZE"),
+    *("SLURM_PROCID", "SLURM_LOCALID", "SLURM_NODEID", "JSM_NAMESPACE_RANK"),
+)
+"""Variables by which launchers number processes; Lightning lets all but the first of them write nothing."""
+KNOWN = ("MASTER_ADDR", "MASTER_PORT", "TORCHELASTIC_USE_AGENT_STORE", "SLURM_STEP_NUM_TASKS", "SLURM_JOB_ID")
+FIRST_PORT, PORTS = 20000, 20000  # srun names no port: that of a job follows from its number
+
+_told: dict[str, str] = {}
+
+
+class Place(NamedTuple):
+    """The place of this process among ``count`` that were started together."""
+
+    rank: int
+    count: int
+    address: str
+    port: int  # at which rank 0, or who started it, has a store of keys and values
+    served: bool  # by who started it
+
+
+def take_place(variables: MutableMapping[str, str]) -> None:
+    """Keep what ``variables`` tell of this process's place, and take its numbers away from there."""
+    _told.clear()
+    _told.update({name: variables[name] for name in (*TOLD, *KNOWN) if name in variables})
+    for name in TOLD:
+        variables.pop(name, None)
+
+
+def place() -> Place | None:
+    """Give the place of this process; None if it was started alone.
+
+    Raises:
+        ConfigError: If what the launcher has told makes no sense.
+    """
+    slurm = int(_told.get("SLURM_STEP_NUM_TASKS", "1") or 1) > 1 and "WORLD_SIZE" not in _told
+    count, rank = ("SLURM_STEP_NUM_TASKS", "SLURM_PROCID") if slurm else ("WORLD_SIZE", "RANK")
+    served = _told.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
+    try:
+        port = int(_told.get("MASTER_PORT") or FIRST_PORT + int(_told.get("SLURM_JOB_ID", "0")) % PORTS)
+        found = Place(int(_told[rank]), int(_told[count]), _told.get("MASTER_ADDR", "127.0.0.1"), port, served)
+    except KeyError:
+        return None
+    except ValueError as error:
+        raise ConfigError(
+            f"{count}, {rank} and MASTER_PORT: {error}; expected numbers, as torchrun sets them"
+        ) from None
+    return found if found.count > 1 else None
+
+
+def is_first() -> bool:
+    """Tell whether this is the process that speaks for all that were started together."""
+    return _told.get("RANK", _told.get("SLURM_PROCID", "0")) == "0"
+
+
+def stand_alone() -> None:
+    """Be a run of one's own, whatever was started beside it."""
+    _told.clear()

@@ -1,0 +1,45 @@
+"""One run on several devices is the run on one: the same losses, the same weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command import METHODS, checkpoint, plp, smoke_run, tiny_smoke
+from ranks import codes, launched
+
+from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.metrics_file import read_rows
+
+NEAR = 1e-6
+STEPS = ("--trainer.max_epochs", "1", "--data.epoch_steps", "50")
+OVERLAYS = {path.stem: path for path in METHODS}
+QUICK = ("plp", "plp_t", "plp_disc", "bc")
+
+
+def furthest(one: RunDirectory, other: RunDirectory, phase: str) -> float:
+    """Largest difference of any weight."""
+    mine, theirs = (checkpoint(run, phase)["state_dict"] for run in (one, other))
+    assert mine.keys() == theirs.keys()
+    return max(float((mine[name].double() - theirs[name].double()).abs().max()) for name in mine if mine[name].numel())
+
+
+def assert_same_curves(one: RunDirectory, other: RunDirectory, phase: str) -> None:
+    mine, theirs = (read_rows(run.phase(phase) / "metrics.csv") for run in (one, other))
+    assert [row[:2] for row in mine] == [row[:2] for row in theirs]
+    assert len({row[0] for row in mine}) >= 50
+    assert [float(row[2]) for row in mine] == pytest.approx([float(row[2]) for row in theirs], abs=NEAR, rel=NEAR)
+
+
+@pytest.mark.parametrize("method", [m if m in QUICK else pytest.param(m, marks=pytest.mark.matrix) for m in OVERLAYS])
+def test_two_ranks_are_the_same_run_as_one(method: str, tmp_path: Path) -> None:
+    words = ["--config", str(OVERLAYS[method]), *STEPS]
+    assert plp("fit", *tiny_smoke(tmp_path / "one"), *words).code == 0
+    started = launched(["fit", *tiny_smoke(tmp_path / "two"), *words, "--trainer.devices", "2"], tmp_path / "said")
+    assert codes(started) == [0, 0], (tmp_path / "said" / "0").read_text()
+    assert (tmp_path / "said" / "1").read_text() == ""
+    one, two = (smoke_run(tmp_path / name, method) for name in ("one", "two"))
+    for phase in one.done_phases():
+        assert furthest(one, two, phase) < NEAR
+        assert_same_curves(one, two, phase)
+    assert one.done_phases() == two.done_phases()
