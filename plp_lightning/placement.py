@@ -19,10 +19,10 @@ _told: dict[str, str] = {}
 
 
 class Place(NamedTuple):
-    """The place of this process among ``count`` that were started together."""
+    """The place of this process among ``total`` that were started together."""
 
     rank: int
-    count: int
+    total: int
     address: str
     port: int  # at which rank 0, or who started it, has a store of keys and values
     served: bool  # by who started it
@@ -54,7 +54,7 @@ def place() -> Place | None:
         raise ConfigError(
             f"{count}, {rank} and MASTER_PORT: {error}; expected numbers, as torchrun sets them"
         ) from None
-    return found if found.count > 1 else None
+    return found if found.total > 1 else None
 
 
 def is_first() -> bool:

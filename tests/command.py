@@ -89,6 +89,13 @@ def dies(arguments: Sequence[str], where: str, nth: int, signal: int) -> int:
 
 def _run_until(arguments: list[str], where: str, nth: int, signal: int) -> None:
     torch.set_num_threads(1)
+    die_at(where, nth, signal)
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+        main(arguments)
+
+
+def die_at(where: str, nth: int, signal: int) -> None:
+    """Let this process send itself ``signal`` at the ``nth`` call of ``where``."""
     owner, name = _locate(where)
     original, calls = getattr(owner, name), itertools.count(1)
 
@@ -98,8 +105,6 @@ def _run_until(arguments: list[str], where: str, nth: int, signal: int) -> None:
         return original(*args, **kwargs)
 
     setattr(owner, name, deadly)
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
-        main(arguments)
 
 
 def _locate(where: str) -> tuple[Any, str]:

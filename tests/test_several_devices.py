@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
-from command import METHODS, checkpoint, plp, smoke_run, tiny_smoke
+from command import METHODS, checkpoint, dies, plp, smoke_run, tiny_smoke
 from ranks import codes, launched
 
 from plp_lightning.runs.directory import RunDirectory
@@ -13,6 +14,7 @@ from plp_lightning.runs.metrics_file import read_rows
 
 NEAR = 1e-6
 STEPS = ("--trainer.max_epochs", "1", "--data.epoch_steps", "50")
+STEP = "plp_lightning.callbacks.guard:FiniteGuard.on_train_batch_end"
 OVERLAYS = {path.stem: path for path in METHODS}
 QUICK = ("plp", "plp_t", "plp_disc", "bc")
 
@@ -43,3 +45,24 @@ def test_two_ranks_are_the_same_run_as_one(method: str, tmp_path: Path) -> None:
         assert furthest(one, two, phase) < NEAR
         assert_same_curves(one, two, phase)
     assert one.done_phases() == two.done_phases()
+
+
+def test_a_run_goes_on_with_another_number_of_ranks(tmp_path: Path) -> None:
+    assert plp("fit", *tiny_smoke(tmp_path / "whole"), *STEPS).code == 0
+    words, run = [*tiny_smoke(tmp_path / "parts"), *STEPS], smoke_run(tmp_path / "parts")
+    assert dies(["fit", *words], STEP, 11, signal.SIGTERM) == 128 + signal.SIGTERM
+    resume = ["fit", "--resume", run.path, "--trainer.devices"]
+    moment = (0, STEP, 30, signal.SIGTERM)
+    assert codes(launched([*resume, 2], tmp_path / "said", moment=moment))[0] == 128 + signal.SIGTERM
+    assert plp(*resume, "1").code == 0
+    whole = smoke_run(tmp_path / "whole")
+    for phase in whole.done_phases():
+        assert furthest(whole, run, phase) < NEAR
+        assert_same_curves(whole, run, phase)
+
+
+def test_the_first_rank_starts_the_others_by_itself(tmp_path: Path) -> None:
+    answer = plp("fit", *tiny_smoke(tmp_path), "--trainer.max_epochs", "1", "--trainer.devices", "2")
+    assert answer.code == 0, answer
+    assert answer.err == ""
+    assert "run directory" in answer.out

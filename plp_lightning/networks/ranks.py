@@ -21,10 +21,10 @@ from torch import Tensor, distributed
 
 
 class Ranks(NamedTuple):
-    """One of ``count`` ranks."""
+    """One of ``total`` ranks."""
 
     own: int
-    count: int
+    total: int
 
     def sizes(self, rows: int) -> list[int]:
         """Number of rows that each rank sends through a network; they differ by one at most.
@@ -33,7 +33,7 @@ class Ranks(NamedTuple):
             >>> Ranks(0, 3).sizes(8)
             [2, 3, 3]
         """
-        return [end - start for start, end in pairwise(rows * i // self.count for i in range(self.count + 1))]
+        return [end - start for start, end in pairwise(rows * i // self.total for i in range(self.total + 1))]
 
 
 _dealing: ContextVar[Ranks | None] = ContextVar("dealing", default=None)
@@ -55,7 +55,7 @@ def dealt(network: Callable[..., Tensor], *rows: Tensor) -> Tensor:
     Within :func:`dealing` the rows are dealt out to the ranks, unless there are too few; elsewhere it is a call.
     """
     ranks = _dealing.get()
-    if ranks is None or len(rows[0]) < ranks.count:
+    if ranks is None or len(rows[0]) < ranks.total:
         return network(*rows)
     with dealing(None):
         own = network(*(cast("Tensor", _Own.apply(part, ranks)) for part in rows))  # type: ignore[no-untyped-call]
@@ -68,11 +68,12 @@ class _Own(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rows: Tensor, ranks: Ranks) -> Tensor:
         ctx.ranks, ctx.rows = ranks, len(rows)
-        return rows.split(ranks.sizes(len(rows)))[ranks.own].clone()
+        own: Tensor = rows.split(ranks.sizes(len(rows)))[ranks.own]
+        return own.clone()
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
-        return _All.apply(grad, ctx.ranks, ctx.rows) / ctx.ranks.count, None  # type: ignore[no-untyped-call]
+        return _All.apply(grad, ctx.ranks, ctx.rows) / ctx.ranks.total, None  # type: ignore[no-untyped-call]
 
 
 class _All(torch.autograd.Function):
@@ -89,4 +90,4 @@ class _All(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
-        return _Own.apply(grad, ctx.ranks) * ctx.ranks.count, None, None  # type: ignore[no-untyped-call]
+        return _Own.apply(grad, ctx.ranks) * ctx.ranks.total, None, None  # type: ignore[no-untyped-call]

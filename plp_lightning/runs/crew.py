@@ -16,14 +16,20 @@ from types import TracebackType
 from typing import NamedTuple
 
 import torch
-from torch.distributed import DistError, PrefixStore, TCPStore, destroy_process_group, init_process_group
+from torch.distributed import (  # type: ignore[attr-defined]  # torch exports its stores so
+    DistError,
+    PrefixStore,
+    TCPStore,
+    destroy_process_group,
+    init_process_group,
+)
 
 from datamodules.errors import ConfigError, UserError
 from plp_lightning.placement import Place, place
 
 PATIENCE = timedelta(days=30)
 """Time that ranks wait for rank 0, which may evaluate in simulators meanwhile."""
-STARTING, LEAVING = timedelta(minutes=10), timedelta(seconds=60)
+STARTING, LEAVING = timedelta(minutes=10), timedelta(seconds=30)
 HOME = "127.0.0.1"  # A run's ranks are on one machine
 HERE, GONE, NEXT, FAULT = "here", "gone", "next", "fault"
 
@@ -57,9 +63,9 @@ def own_place(count: int) -> Place | None:
         ConfigError: If another number of processes was started.
     """
     found = place() if count > 1 else None
-    if found is not None and found.count != count:
-        told = f"trainer.devices is {count}, and {found.count} processes were started together"
-        raise ConfigError(f"{told}; expected as many: set --trainer.devices {found.count}")
+    if found is not None and found.total != count:
+        told = f"trainer.devices is {count}, and {found.total} processes were started together"
+        raise ConfigError(f"{told}; expected as many: set --trainer.devices {found.total}")
     return found
 
 
@@ -78,7 +84,7 @@ class Crew:
         self.count, self.words, self.place = count, words, own_place(count)
         self.store: TCPStore | None = None
         self.children: list[subprocess.Popen[bytes]] = []
-        self.told, self.together = 0, False
+        self.told, self.together, self.over = 0, False, False
 
     def __enter__(self) -> Crew:
         if self.place is not None:  # who was started already looks for it
@@ -92,18 +98,23 @@ class Crew:
             self._say(job.to_json())
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        self.over = True
         try:
-            if error is None and self.store is not None:
-                self._say("")
-                self._wait_for(GONE, LEAVING)
-            elif isinstance(error, RuntimeError) and self.together and (reason := self._lost(error)):
+            if isinstance(error, RuntimeError) and self.together and (reason := self._lost(error)):
                 raise RankLostError(f"{reason}; expected all ranks to stay: go on with plp fit --resume") from error
         finally:
-            for child in self.children:
-                child.kill()
-                child.wait()
-            if self.together and error is None:
-                destroy_process_group()
+            self._dismiss(finished=error is None)
+
+    def _dismiss(self, finished: bool) -> None:
+        if self.store is not None:
+            with contextlib.suppress(RankLostError, RuntimeError):
+                self._say("")
+                self._wait_for(GONE, LEAVING if finished else timedelta(0))
+        for child in self.children:
+            child.kill()
+            child.wait()
+        if self.together and finished:
+            destroy_process_group()
 
     def _open(self) -> TCPStore:
         address, port, served = (HOME, 0, False) if self.place is None else self.place[2:]
@@ -125,6 +136,17 @@ class Crew:
         self._wait_for(HERE, STARTING)
         meet(store, 0, self.count)
         self.together = True
+        if torch.cuda.is_available():
+            threading.Thread(target=self._mind, daemon=True).start()
+
+    def _mind(self) -> None:
+        """End this process some time after another rank: a step on GPUs would wait for that one without end."""
+        while not (reason := self._ended()):
+            time.sleep(1)
+        time.sleep(LEAVING.total_seconds())  # as a rule the main thread notices, and leaves in order
+        if not self.over:
+            print(f"plp: {reason}; expected all ranks to stay: go on with plp fit --resume", file=sys.stderr)
+            os._exit(2)
 
     def _started(self, rank: int, port: int) -> subprocess.Popen[bytes]:
         numbers = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": self.count, "MASTER_PORT": port}
@@ -141,7 +163,7 @@ class Crew:
         """Wait until all other ranks are ``here``, or ``gone``."""
         end, store = time.monotonic() + most.total_seconds(), self._open()
         while store.add(what, 0) < self.count - 1:
-            if what == HERE and (lost := self._ended()):
+            if lost := self._ended():
                 raise RankLostError(f"{lost}; expected it to join: see what it says, then plp fit --resume")
             if time.monotonic() > end:
                 raise RankLostError(
@@ -192,7 +214,7 @@ class Member:
         self.own, self.store = own, self._reached(own)
         threading.Thread(target=self._watch, daemon=True).start()
         self.store.add(HERE, 1)
-        meet(self.store, own.rank, own.count)
+        meet(self.store, own.rank, own.total)
 
     def jobs(self) -> Iterator[Job]:
         """Phases to train, when rank 0 tells of them, until it says that all are done."""
