@@ -45,6 +45,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "datamodules.formats": WORDS | {"datamodules.store"},
     "datamodules": {"datamodules"},
     "plp_lightning.stopping": set(),
+    "plp_lightning.placement": {"datamodules.errors"},
     "plp_lightning.plugins": {"datamodules.errors"},
     "plp_lightning.networks": WORDS,
     "plp_lightning.losses": WORDS,
@@ -55,10 +56,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
     "plp_lightning.report": {"datamodules.errors", "datamodules.words", "plp_lightning.pictures.style"}
     | {"plp_lightning.evaluation.bootstrap", "plp_lightning.evaluation.statistics", "plp_lightning.runs.curves"},
-    "plp_lightning.steps": {"datamodules", METHODS},
+    "plp_lightning.steps": {"datamodules", METHODS, "plp_lightning.networks.ranks"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
     | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"}
-    | {"plp_lightning.steps"},
+    | {"plp_lightning.steps", "plp_lightning.placement"},
     "plp_lightning.sweeps": {
         *("datamodules.errors", "datamodules.settings", "datamodules.words", "datamodules.store.atomic"),
         "plp_lightning.runs.directory",
@@ -67,6 +68,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "datamodules.errors",
         "datamodules.words",
         "plp_lightning.cli",
+        "plp_lightning.placement",
         "plp_lightning.stopping",
     },
     # The command line joins everything.

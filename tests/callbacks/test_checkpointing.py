@@ -4,6 +4,7 @@ import os
 import pickle
 import random
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -119,7 +120,7 @@ def test_random_states_pass_through_a_plain_checkpoint(tmp_path: Path) -> None:
 
 def test_without_a_loaded_state_random_numbers_run_on() -> None:
     state = torch.get_rng_state()
-    RandomState().on_train_batch_start(None, None, None, 0)  # type: ignore[arg-type]
+    RandomState().on_train_batch_start(SimpleNamespace(world_size=1), None, None, 0)  # type: ignore[arg-type]
     assert torch.equal(state, torch.get_rng_state())
 
 

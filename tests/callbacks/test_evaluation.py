@@ -24,9 +24,11 @@ def run_epochs(
     monkeypatch.setattr(evaluation, "Phase", object)
     monkeypatch.setattr(callback, "_evaluate", evaluate)
     callback.on_train_start(None, None)
+    alone = SimpleNamespace(broadcast=lambda found: found)
     for epoch in range(1, epochs + 1):
         clock.now += seconds
-        callback.on_train_epoch_end(SimpleNamespace(current_epoch=epoch - 1, max_epochs=epochs), object())
+        trainer = SimpleNamespace(current_epoch=epoch - 1, max_epochs=epochs, strategy=alone)
+        callback.on_train_epoch_end(trainer, object())
     return turns
 
 

@@ -19,9 +19,13 @@ IMPOSSIBLE = [
     ("--trainer.log_every_n_steps", "0", "trainer.log_every_n_steps is 0; expected a whole number, at least 1"),
     ("--trainer.accumulate_grad_batches", "0", "trainer.accumulate_grad_batches is 0; expected"),
     ("--trainer.check_val_every_n_epoch", "0", "trainer.check_val_every_n_epoch is 0; expected"),
-    ("--trainer.devices", "7", "trainer.devices is 7 and trainer.strategy auto; expected 1 and auto"),
-    ("--trainer.devices", "-1", "trainer.devices is -1 and trainer.strategy auto; expected 1 and auto"),
-    ("--trainer.strategy", "ddp", "trainer.devices is 1 and trainer.strategy ddp; expected 1 and auto"),
+    ("--trainer.devices", "65", "trainer.devices is 65, more than the 64 rows of a batch (data.batch_size)"),
+    ("--trainer.devices", "-1", "trainer.devices is -1; expected the number of a machine's devices to use, 1 or more"),
+    ("--trainer.devices", "0", "trainer.devices is 0; expected the number of"),
+    ("--trainer.devices", "[0, 1]", "trainer.devices is [0, 1]; expected the number of"),
+    ("--trainer.devices", "0,1", "trainer.devices is 0,1; expected the number of"),
+    ("--trainer.strategy", "ddp", "trainer.strategy is ddp; expected auto: how devices work together follows from"),
+    ("--trainer.num_nodes", "2", "trainer.num_nodes is 2; expected 1: a run is on one machine"),
 ]
 
 

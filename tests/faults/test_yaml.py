@@ -72,7 +72,7 @@ def test_pages_with_nothing_or_marks_of_editors_are_read(content: str, tmp_path:
 def test_an_unknown_key_beside_names_that_have_changed_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "page.yaml").write_text("data: {target: goal_2, batch_sise: 3}")
     assert "batch_sise" in complaint("fit", *tiny_smoke(tmp_path / "runs"), "--config", tmp_path / "page.yaml")
-    (tmp_path / "page.yaml").write_text("data: {target: goal_2}\ntrainer: {devices: 3}")
+    (tmp_path / "page.yaml").write_text("data: {target: goal_2}\ntrainer: {devices: 300}")
     assert "trainer.devices" in complaint("fit", *tiny_smoke(tmp_path / "runs"), "--config", tmp_path / "page.yaml")
 
 
