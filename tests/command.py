@@ -94,14 +94,16 @@ def _run_until(arguments: list[str], where: str, nth: int, signal: int) -> None:
         main(arguments)
 
 
-def die_at(where: str, nth: int, signal: int) -> None:
-    """Let this process send itself ``signal`` at the ``nth`` call of ``where``."""
+def die_at(where: str, nth: int, cause: int | Exception) -> None:
+    """Let this process send itself a signal, or raise, at the ``nth`` call of ``where``."""
     owner, name = _locate(where)
     original, calls = getattr(owner, name), itertools.count(1)
 
     def deadly(*args: Any, **kwargs: Any) -> Any:
         if next(calls) == nth:
-            os.kill(os.getpid(), signal)
+            if isinstance(cause, Exception):
+                raise cause
+            os.kill(os.getpid(), cause)
         return original(*args, **kwargs)
 
     setattr(owner, name, deadly)

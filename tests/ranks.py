@@ -13,7 +13,7 @@ from command import die_at, processes
 
 from plp_lightning.cli.main import main
 
-Moment = tuple[int, str, int, int]
+Moment = tuple[int, str, int, int | Exception]
 """A rank, and what :func:`command.die_at` is told there."""
 
 
@@ -44,7 +44,7 @@ def codes(started: Sequence[BaseProcess]) -> list[int | None]:
     return [process.exitcode for process in started]
 
 
-def _run(words: list[str], told: dict[str, str], said: Path, dying: tuple[str, int, int] | None) -> None:
+def _run(words: list[str], told: dict[str, str], said: Path, dying: tuple[str, int, int | Exception] | None) -> None:
     torch.set_num_threads(1)
     if dying is not None:
         die_at(*dying)

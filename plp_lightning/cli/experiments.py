@@ -16,7 +16,7 @@ from plp_lightning.cli.options import OptionParser, positive
 from plp_lightning.cli.training import train_expert
 from plp_lightning.cli.yaml_files import read_yaml
 from plp_lightning.placement import stand_alone
-from plp_lightning.runs.crew import Crew, own_place
+from plp_lightning.runs.crew import Crew
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import fit
@@ -52,18 +52,17 @@ def run_fit(arguments: Sequence[str]) -> None:
 
 def _begin(arguments: Sequence[str], phase: str | None, origin: str | None) -> None:
     experiment, changes = read(arguments)
-    _follow_if_told(experiment)
-    wanted = _wanted(experiment, phase, origin)
-    if origin is not None:
-        _check_origin(experiment, Path(origin))
-    check_trainer(experiment)
-    check_method(experiment)
-    check_demonstrations(experiment)
-    tell(changes)
-    # Absolute, so that the run can be resumed from anywhere.
-    plan = {"wanted": wanted, "origin": None if origin is None else str(Path(origin).resolve())}
-    run = RunDirectory.create(experiment.run_path, experiment.config, _environment(), plan)
-    _fit(experiment, run, _resuming(run, arguments))
+    with _crew(experiment, experiment.run_path, option_values(arguments, "allow_imports")) as crew:
+        wanted = _wanted(experiment, phase, origin)
+        if origin is not None:
+            _check_origin(experiment, Path(origin))
+        check_trainer(experiment)
+        check_method(experiment)
+        check_demonstrations(experiment)
+        tell(changes)
+        # Absolute, so that the run can be resumed from anywhere.
+        plan = {"wanted": wanted, "origin": None if origin is None else str(Path(origin).resolve())}
+        _fit(experiment, RunDirectory.create(experiment.run_path, experiment.config, _environment(), plan), crew)
 
 
 def _resume(path: Path, rest: list[str], others: str | None) -> None:
@@ -82,23 +81,20 @@ def _resume(path: Path, rest: list[str], others: str | None) -> None:
     run.check_begun()
     devices = [] if options.devices is None else ["--trainer.devices", options.devices]
     experiment = parse([*_kept_words(run), *devices, *trusted(options.allow_imports)])
-    check_devices(experiment)
-    _follow_if_told(experiment)
-    _fit(experiment, run, ["--resume", str(path), *rest])
+    with _crew(experiment, path, options.allow_imports) as crew:
+        check_devices(experiment)
+        _fit(experiment, run, crew)
 
 
-def _follow_if_told(experiment: Experiment) -> None:
-    """Go on as one of several ranks, of which the first has the run to itself, if this process was started as one."""
-    own = own_place(device_count(experiment.trainer))
-    if own is None:
+def _crew(experiment: Experiment, path: Path, packages: Sequence[str]) -> Crew:
+    """Give the ranks of a run into the hands of the first, from which alone this returns; all others follow it."""
+    devices = device_count(experiment.trainer)
+    crew = Crew(devices, ["--resume", str(path), "--trainer.devices", str(devices), *trusted(packages)])
+    if crew.place is None:
         stand_alone()
-    elif own.rank > 0:
-        follow(experiment, own)
-
-
-def _resuming(run: RunDirectory, arguments: Sequence[str]) -> list[str]:
-    """Words that further ranks of a run are started with."""
-    return ["--resume", str(run.path), *trusted(option_values(arguments, "allow_imports"))]
+    elif crew.place.rank > 0:
+        follow(experiment, crew.place)
+    return crew
 
 
 def _kept_words(run: RunDirectory) -> list[str]:
@@ -108,9 +104,8 @@ def _kept_words(run: RunDirectory) -> list[str]:
     return ["--config", str(run.config), *(["--data.epoch_steps", "1"] if older else [])]
 
 
-def _fit(experiment: Experiment, run: RunDirectory, words: Sequence[str]) -> None:
-    crew = Crew(device_count(experiment.trainer), words)
-    with run.locked(), run.failures_noted(), crew:
+def _fit(experiment: Experiment, run: RunDirectory, crew: Crew) -> None:
+    with run.locked(), run.failures_noted():
         status = run.status()
         origin = RunDirectory.open(Path(status["origin"])) if status.get("origin") else None
         wanted = status.get("wanted") or list(experiment.method.phases)

@@ -87,8 +87,9 @@ class Crew:
         self.told, self.together, self.over = 0, False, False
 
     def __enter__(self) -> Crew:
-        if self.place is not None:  # who was started already looks for it
+        if self.place is not None:  # who is not here yet would never know that this rank has failed
             self._open()
+            self._wait_for(HERE, STARTING)
         return self
 
     def tell(self, job: Job) -> None:
@@ -133,7 +134,7 @@ class Crew:
         store = self._open()
         if self.place is None:
             self.children = [self._started(rank, store.port) for rank in range(1, self.count)]
-        self._wait_for(HERE, STARTING)
+            self._wait_for(HERE, STARTING)
         meet(store, 0, self.count)
         self.together = True
         if torch.cuda.is_available():
@@ -239,7 +240,7 @@ class Member:
             store = self._reached(self.own)
             while store.num_keys() >= 0:
                 time.sleep(1)
-        os._exit(1)
+        os._exit(2)
 
     @staticmethod
     def _reached(own: Place) -> TCPStore:

@@ -51,10 +51,11 @@ def _followed(experiment: Experiment, own: Place) -> int:
         member.complain(str(error))
         return 2
     except BaseException as error:
-        if not from_others(error):
-            traceback.print_exc()
-            if member is not None:
-                member.complain(f"{type(error).__name__}: {error}")
+        if from_others(error):
+            return 2
+        traceback.print_exc()
+        if member is not None:
+            member.complain(f"{type(error).__name__}: {error}")
         return 1
     return 0
 
