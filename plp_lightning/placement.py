@@ -12,7 +12,11 @@ TOLD = (
     *("SLURM_PROCID", "SLURM_LOCALID", "SLURM_NODEID", "JSM_NAMESPACE_RANK"),
 )
 """Variables by which launchers number processes; Lightning lets all but the first of them write nothing."""
-KNOWN = ("MASTER_ADDR", "MASTER_PORT", "TORCHELASTIC_USE_AGENT_STORE", "SLURM_STEP_NUM_TASKS", "SLURM_JOB_ID")
+KNOWN = (
+    *("MASTER_ADDR", "MASTER_PORT", "TORCHELASTIC_USE_AGENT_STORE"),
+    *("SLURM_STEP_NUM_TASKS", "SLURM_STEP_NUM_NODES", "SLURM_JOB_ID"),
+)
+HOME = "127.0.0.1"  # A run's ranks are on one machine
 FIRST_PORT, PORTS = 20000, 20000  # srun names no port: that of a job follows from its number
 
 _told: dict[str, str] = {}
@@ -40,21 +44,29 @@ def place() -> Place | None:
     """Give the place of this process; None if it was started alone.
 
     Raises:
-        ConfigError: If what the launcher has told makes no sense.
+        ConfigError: If what the launcher has told makes no sense, or there are processes on other machines.
     """
-    slurm = int(_told.get("SLURM_STEP_NUM_TASKS", "1") or 1) > 1 and "WORLD_SIZE" not in _told
-    count, rank = ("SLURM_STEP_NUM_TASKS", "SLURM_PROCID") if slurm else ("WORLD_SIZE", "RANK")
-    served = _told.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
-    try:
-        port = int(_told.get("MASTER_PORT") or FIRST_PORT + int(_told.get("SLURM_JOB_ID", "0")) % PORTS)
-        found = Place(int(_told[rank]), int(_told[count]), _told.get("MASTER_ADDR", "127.0.0.1"), port, served)
-    except KeyError:
+    by_srun = "WORLD_SIZE" not in _told  # which torchrun sets, be it in a task of srun's
+    total, rank = ("SLURM_STEP_NUM_TASKS", "SLURM_PROCID") if by_srun else ("WORLD_SIZE", "RANK")
+    if total not in _told or rank not in _told or _number(total) == 1:
         return None
-    except ValueError as error:
-        raise ConfigError(
-            f"{count}, {rank} and MASTER_PORT: {error}; expected numbers, as torchrun sets them"
-        ) from None
-    return found if found.total > 1 else None
+    far = (
+        _number("SLURM_STEP_NUM_NODES", 1) > 1
+        if by_srun
+        else _number("LOCAL_WORLD_SIZE", _number(total)) < _number(total)
+    )
+    if far:
+        raise ConfigError("processes were started together on several machines; expected one, which a run is on")
+    port = _number("MASTER_PORT", FIRST_PORT + _number("SLURM_JOB_ID", 0) % PORTS)
+    served = _told.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
+    return Place(_number(rank), _number(total), _told.get("MASTER_ADDR", HOME), port, served)
+
+
+def _number(name: str, default: int = 0) -> int:
+    found = _told.get(name, str(default))
+    if not found.isdecimal():
+        raise ConfigError(f"{name} is {found!r}; expected a number, as launchers set it: start anew")
+    return int(found)
 
 
 def is_first() -> bool:

@@ -25,12 +25,11 @@ from torch.distributed import (  # type: ignore[attr-defined]  # torch exports i
 )
 
 from datamodules.errors import ConfigError, UserError
-from plp_lightning.placement import Place, place
+from plp_lightning.placement import HOME, Place, place
 
 PATIENCE = timedelta(days=30)
 """Time that ranks wait for rank 0, which may evaluate in simulators meanwhile."""
 STARTING, LEAVING = timedelta(minutes=10), timedelta(seconds=30)
-HOME = "127.0.0.1"  # A run's ranks are on one machine
 HERE, GONE, NEXT, FAULT = "here", "gone", "next", "fault"
 
 
