@@ -36,6 +36,8 @@ def assert_same_curves(one: RunDirectory, other: RunDirectory, phase: str) -> No
 @pytest.mark.parametrize("method", [m if m in QUICK else pytest.param(m, marks=pytest.mark.matrix) for m in OVERLAYS])
 def test_two_ranks_are_the_same_run_as_one(method: str, tmp_path: Path) -> None:
     words = ["--config", str(OVERLAYS[method]), *STEPS]
+    if method not in QUICK:  # some of which make too much of a last digit
+        words += ["--trainer.precision", "64-true"]
     assert plp("fit", *tiny_smoke(tmp_path / "one"), *words).code == 0
     started = launched(["fit", *tiny_smoke(tmp_path / "two"), *words, "--trainer.devices", "2"], tmp_path / "said")
     assert codes(started) == [0, 0], (tmp_path / "said" / "0").read_text()
@@ -66,3 +68,29 @@ def test_the_first_rank_starts_the_others_by_itself(tmp_path: Path) -> None:
     assert answer.code == 0, answer
     assert answer.err == ""
     assert "run directory" in answer.out
+
+
+SETTINGS = {
+    "clipping": ["--trainer.gradient_clip_val", "0.1"],
+    "accumulation": ["--trainer.accumulate_grad_batches", "3"],
+    "half precision": ["--trainer.precision", "bf16-mixed"],
+    "time": ["--trainer.max_time", "00:01:00:00", "--trainer.val_check_interval", "0.5"],
+    "stopping": ["--callbacks+=EarlyStopping", "--callbacks.monitor", "val/bc", "--callbacks.patience", "1"],
+    "averaging": ["--callbacks+=EMAWeightAveraging"],
+    "profile": ["--trainer.profiler", "simple"],
+    "an odd share": ["--data.batch_size", "38", "--trainer.limit_train_batches", "7"],
+}
+
+
+@pytest.mark.parametrize(
+    "setting", [pytest.param(s, marks=[] if s == "an odd share" else pytest.mark.matrix) for s in SETTINGS]
+)
+def test_the_trainers_settings_mean_the_same(setting: str, tmp_path: Path) -> None:
+    words, total = [*SETTINGS[setting], "--trainer.max_epochs", "3", "--data.epoch_steps", "20"], 3
+    words += [] if setting == "half precision" else ["--trainer.precision", "64-true"]
+    assert plp("fit", *tiny_smoke(tmp_path / "one"), *words).code == 0
+    words = ["fit", *tiny_smoke(tmp_path / "three"), *words, "--trainer.devices", str(total)]
+    assert codes(launched(words, tmp_path / "said", total)) == [0] * total, (tmp_path / "said" / "0").read_text()
+    one, three = (smoke_run(tmp_path / name) for name in ("one", "three"))
+    for phase in one.done_phases():
+        assert furthest(one, three, phase) < (0.05 if setting == "half precision" else NEAR)
