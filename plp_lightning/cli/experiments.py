@@ -170,7 +170,9 @@ def _train_expert(experiment: Experiment, options: argparse.Namespace) -> None:
 def _fit_options() -> OptionParser:
     description = "Train every phase of a method, evaluate and report."
     parser = OptionParser("plp fit", description=description, add_help=False, allow_abbrev=False)
-    parser.add_argument("--resume", metavar="RUN_DIR", help="go on where this run stopped; takes no other option")
+    parser.add_argument(
+        "--resume", metavar="RUN_DIR", help="go on where this run stopped; of other options only --trainer.devices"
+    )
     parser.add_argument("--phase", help="run this phase alone, or these, joined by commas")
     parser.add_argument("--from", dest="origin", metavar="RUN_DIR", help="run whose earlier phases --phase builds on")
     parser.add_argument("--print_config", action="store_true", help="print the resolved configuration and stop")

@@ -151,6 +151,7 @@ class Crew:
     def _started(self, rank: int, port: int) -> subprocess.Popen[bytes]:
         numbers = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": self.count, "MASTER_PORT": port}
         told = {name: str(number) for name, number in numbers.items()} | {"MASTER_ADDR": HOME}
+        told["TORCH_CPP_LOG_LEVEL"] = "ERROR"  # Rank 0 has the word when connections break
         command = [sys.executable, "-m", "plp_lightning", "fit", *self.words]
         nothing = subprocess.DEVNULL
         return subprocess.Popen(command, env={**os.environ, **told}, stdin=nothing, stdout=nothing)

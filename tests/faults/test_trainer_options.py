@@ -90,7 +90,7 @@ def test_a_loader_goes_on_in_an_epoch_that_is_cut(monkeypatch: pytest.MonkeyPatc
         ("--trainer.gradient_clip_val -1", "gradient_clip_val is -1; expected a number, at least 0"),
         ("--trainer.gradient_clip_val .nan", "gradient_clip_val is nan; expected a number, at least 0"),
         ("--trainer.min_epochs -3", "min_epochs is -3; expected a number, at least 0"),
-        ("--trainer.num_nodes 2", "a run uses one device"),
+        ("--trainer.num_nodes 2", "expected 1: a run is on one machine"),
         ("--trainer.precision 16-mixed --trainer.accelerator cpu", "AMP with fp16 is not supported on CPU"),
         ("--trainer.precision bf16-true", "precision is bf16-true; expected bf16-mixed or 16-mixed"),
         ("--trainer.callbacks x", "append yours with --callbacks+=CLASS"),
