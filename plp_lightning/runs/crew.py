@@ -29,8 +29,8 @@ from plp_lightning.placement import HOME, Place, place
 
 PATIENCE = timedelta(days=30)
 """Time that ranks wait for rank 0, which may evaluate in simulators meanwhile."""
-STARTING, LEAVING = timedelta(minutes=10), timedelta(seconds=30)
-HERE, GONE, NEXT, FAULT = "here", "gone", "next", "fault"
+STARTING, LEAVING, FLEEING = timedelta(minutes=10), timedelta(seconds=30), timedelta(seconds=3)
+HERE, GONE, NEXT, FAULT, OVER = "here", "gone", "next", "fault", "over"
 
 
 class RankLostError(UserError):
@@ -101,15 +101,20 @@ class Crew:
         self.over = True
         try:
             if isinstance(error, RuntimeError) and self.together and (reason := self._lost(error)):
-                raise RankLostError(f"{reason}; expected all ranks to stay: go on with plp fit --resume") from error
+                raise RankLostError(
+                    f"{reason}; expected all ranks to stay: go on with plp fit --resume RUN_DIR"
+                ) from error
         finally:
             self._dismiss(finished=error is None)
 
     def _dismiss(self, finished: bool) -> None:
         if self.store is not None:
             with contextlib.suppress(RankLostError, RuntimeError):
-                self._say("")
-                self._wait_for(GONE, LEAVING if finished else timedelta(0))
+                if finished:
+                    self._say("")
+                else:
+                    self.store.set(OVER, "")
+                self._wait_for(GONE, LEAVING if finished else FLEEING)
         for child in self.children:
             child.kill()
             child.wait()
@@ -145,7 +150,7 @@ class Crew:
             time.sleep(1)
         time.sleep(LEAVING.total_seconds())  # as a rule the main thread notices, and leaves in order
         if not self.over:
-            print(f"plp: {reason}; expected all ranks to stay: go on with plp fit --resume", file=sys.stderr)
+            print(f"plp: {reason}; expected all ranks to stay: go on with plp fit --resume RUN_DIR", file=sys.stderr)
             os._exit(2)
 
     def _started(self, rank: int, port: int) -> subprocess.Popen[bytes]:
@@ -165,7 +170,7 @@ class Crew:
         end, store = time.monotonic() + most.total_seconds(), self._open()
         while store.add(what, 0) < self.count - 1:
             if lost := self._ended():
-                raise RankLostError(f"{lost}; expected it to join: see what it says, then plp fit --resume")
+                raise RankLostError(f"{lost}; expected it to join: see what it says, then plp fit --resume RUN_DIR")
             if time.monotonic() > end:
                 raise RankLostError(
                     f"not all of {self.count} ranks are {what}; expected them within {most}: start anew"
@@ -235,11 +240,12 @@ class Member:
         return self.store.get(f"{NEXT}/{number}").decode()
 
     def _watch(self) -> None:
-        """End this process with the one that has the store, which a waiting main thread would not notice."""
+        """End this process when rank 0 says so, or has gone without a word, which a waiting main thread would miss."""
         with contextlib.suppress(RuntimeError):
             store = self._reached(self.own)
-            while store.num_keys() >= 0:
-                time.sleep(1)
+            while not store.check([OVER]):
+                time.sleep(0.2)
+            store.add(GONE, 1)
         os._exit(2)
 
     @staticmethod

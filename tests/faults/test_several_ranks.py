@@ -47,8 +47,7 @@ def test_a_rank_that_is_killed_ends_all(victim: int, tmp_path: Path) -> None:
         assert "Traceback" not in (tmp_path / "said" / "0").read_text()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
-@pytest.mark.parametrize("heard", [[0], [1, 0]])
+@pytest.mark.parametrize(("number", "heard"), [(signal.SIGTERM, [1, 0]), (signal.SIGUSR1, [0])])
 def test_ranks_that_are_asked_to_stop_save_and_end(number: signal.Signals, heard: list[int], tmp_path: Path) -> None:
     started = training(tmp_path / "said", tmp_path / "runs")
     for rank in heard:
@@ -63,7 +62,7 @@ def test_a_fault_of_another_rank_is_told_by_the_first(tmp_path: Path) -> None:
     started = launched(words, tmp_path / "said", moment=(1, STEP, 5, UserError("here it fails")))
     assert codes(started) == [2, 2]
     assert told(tmp_path / "said", 0) == (
-        "plp: rank 1: here it fails; expected all ranks to stay: go on with plp fit --resume\n"
+        "plp: rank 1: here it fails; expected all ranks to stay: go on with plp fit --resume RUN_DIR\n"
     )
     assert told(tmp_path / "said", 1) == ""
 
