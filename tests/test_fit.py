@@ -68,8 +68,9 @@ def test_curves_settings_and_picture_are_in_tensorboard(pictured: RunDirectory) 
         events = EventAccumulator(str(pictured.phase(phase)))
         events.Reload()
         scalars = set(events.Tags()["scalars"])
-        assert {"train/bc", "val/bc", "val/bc_flat", "alignment/closeness", "final/target_success"} <= scalars
-        assert events.Tags()["images"] == ["latents"]
+        assert {"loss/train/bc", "loss/held_out/bc", "loss/held_out/bc_flat"} <= scalars
+        assert {"alignment/closeness", "final/target_success", "speed/steps_per_second"} <= scalars
+        assert events.Tags()["images"] == [f"{phase}/latents"]
         assert ("_hparams_/session_start_info" in events.summary_metadata) == (phase == PHASES[-1])  # a row a run
         assert (pictured.phase(phase) / "latents.png").stat().st_size > 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from lightning.pytorch import Trainer
@@ -19,15 +20,25 @@ DPI = 120
 RATE = 20.0  # frames of a moving picture in a second
 
 
+@runtime_checkable
+class Counting(Protocol):
+    """A logger that counts steps on over the phases of a run."""
+
+    def step_of_run(self, step: int) -> int:
+        """Step of the run at a step of the phase."""
+
+
 def publish(trainer: Trainer, name: str, figure: Figure) -> None:
-    """Show a figure as image ``name`` in TensorBoard and leave ``<name>.png``, complete or absent, beside its events.
+    """Show a figure as image ``<phase>/<name>`` in TensorBoard and leave ``<name>.png``, complete or absent, beside.
 
     Without a TensorBoardLogger of the trainer's nothing happens.
     """
     figure.set_dpi(DPI)
     image = pixels(figure)
     for logger in _tensorboards(trainer):
-        logger.experiment.add_image(name, image, trainer.global_step, dataformats="HWC")
+        step = trainer.global_step
+        step = logger.step_of_run(step) if isinstance(logger, Counting) else step
+        logger.experiment.add_image(f"{logger.name}/{name}", image, step, dataformats="HWC")
         folder = Path(logger.log_dir)
         with locked_folder(folder), replacing(folder / f"{name}.png") as temporary:
             imsave(temporary, image, format="png")

@@ -1,4 +1,4 @@
-"""TensorBoard's page of a run: steps counted on over phases, the main charts first, one row of settings, a table."""
+"""TensorBoard's page of a run: curves by what they measure, steps counted on over phases, main charts, a table."""
 
 from __future__ import annotations
 
@@ -10,20 +10,26 @@ import yaml
 from lightning.pytorch import Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
+from torch.utils.tensorboard.summary import hparams
 
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.further_loggers import end
 from plp_lightning.runs.results import COUNTED, ROWS
 from plp_lightning.runs.settings import differing_settings
+from plp_lightning.runs.tags import board_tag
 
 CHARTS = {
-    "success": ["Multiline", [r"eval/target_success", r"eval/source_success"]],
+    "success": ["Multiline", [r"success/target", r"success/source"]],
     "alignment": ["Multiline", [r"alignment/.*"]],
-    "held-out loss": ["Multiline", [r"val/.*"]],
-    "loss": ["Multiline", [r"train/.*"]],
+    "held-out loss": ["Multiline", [r"loss/held_out/.*"]],
+    "loss": ["Multiline", [r"loss/train/.*"]],
 }
 """Charts of TensorBoard's page of custom scalars, by title."""
+NAMES = ("experiment", "method", "target_task", "seed")
+"""What tells one run from all others."""
+Settings = dict[str, str | float | int | bool]
 
 
 class Progress(NamedTuple):
@@ -56,9 +62,13 @@ class Board(TensorBoardLogger):
     """
 
     def __init__(self, run: Path, phase: str, before: Progress, purge_step: int | None) -> None:
-        purged = None if purge_step is None else before.batches + purge_step
-        super().__init__(run, name=phase, version="", default_hp_metric=False, purge_step=purged)
         self.before = before
+        purged = None if purge_step is None else self.step_of_run(purge_step)
+        super().__init__(run, name=phase, version="", default_hp_metric=False, purge_step=purged)
+
+    def step_of_run(self, step: int) -> int:
+        """Step of the run at a step of the phase."""
+        return self.before.batches + step
 
     @rank_zero_only
     def show_charts(self) -> None:
@@ -67,8 +77,28 @@ class Board(TensorBoardLogger):
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
-        counted = {**metrics, "epoch": metrics["epoch"] + self.before.epochs} if "epoch" in metrics else metrics
-        super().log_metrics(counted, None if step is None else self.before.batches + step)
+        tagged = {board_tag(name): value for name, value in metrics.items()}
+        tagged |= {"epoch": metrics["epoch"] + self.before.epochs} if "epoch" in metrics else {}
+        super().log_metrics(tagged, None if step is None else self.step_of_run(step))
+
+    @rank_zero_only
+    def show_settings(self, settings: Settings, metrics: Mapping[str, float], step: int) -> None:
+        """Give the run its row of HPARAMS, names first: TensorBoard sorts columns, those said to differ before all."""
+        self.hparams.update(settings)
+        self.log_metrics(metrics, step)
+        about, *session = hparams(dict(settings), dict(metrics))
+        plugin = about.value[0].metadata.plugin_data
+        content = HParamsPluginData.FromString(plugin.content)
+        for info in content.experiment.hparam_infos:
+            info.differs = info.name in NAMES
+        plugin.content = content.SerializeToString()
+        for summary in (about, *session):
+            self.experiment._get_file_writer().add_summary(summary, self.step_of_run(step))
+
+    @rank_zero_only
+    def show_table(self, table: str, step: int) -> None:
+        """Give the run its result table, Markdown, as a text."""
+        self.experiment.add_text("results", table, self.step_of_run(step))
 
 
 def log_end(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any], last: bool) -> None:
@@ -82,8 +112,8 @@ def log_end(trainer: Trainer, experiment: Experiment, record: Mapping[str, Any],
     metrics |= {f"final/{name}": value for name, value in record["alignment"].items()}
     for logger in trainer.loggers:
         if last and isinstance(logger, Board):
-            logger.log_hyperparams(settings(experiment), metrics, trainer.global_step)
-            logger.experiment.add_text("results", result_table(record["trials"]), trainer.global_step)
+            logger.show_settings(settings(experiment), metrics, trainer.global_step)
+            logger.show_table(result_table(record["trials"]), trainer.global_step)
         else:
             logger.log_metrics(metrics, trainer.global_step)
         logger.save()
@@ -100,17 +130,17 @@ def result_table(trials: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join(rows) if trials else "not simulated"
 
 
-def settings(experiment: Experiment) -> dict[str, str | float | int | bool]:
+def settings(experiment: Experiment) -> Settings:
     """All settings by dotted key, as the page HPARAMS has them, first what tells this run from others."""
     resolved = yaml.safe_load(experiment.config)
-    names: dict[str, Any] = {"experiment": experiment.name, "method": experiment.method.name}
-    names |= {"target_task": experiment.data.target_task, "seed": experiment.seed}
+    found = experiment.name, experiment.method.name, experiment.data.target_task, experiment.seed
+    names: dict[str, Any] = dict(zip(NAMES, found, strict=True))
     first = _flat(names | differing_settings(resolved))
     return first | {key: value for key, value in _flat(resolved).items() if key not in first}
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, str | float | int | bool]:
-    leaves: dict[str, str | float | int | bool] = {}
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> Settings:
+    leaves: Settings = {}
     for key, value in tree.items():
         if isinstance(value, dict):
             leaves |= _flat(value, prefix if key == "init_args" else f"{prefix}{key}.")

@@ -22,6 +22,7 @@ from plp_lightning.callbacks.evaluation import AlignmentMetrics, SimulatorEvalua
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.callbacks.preemption import Preemption
+from plp_lightning.callbacks.speed import Speed
 from plp_lightning.methods.phase import Phase
 from plp_lightning.pictures.latents import LatentPicture
 from plp_lightning.pictures.reconstructions import ReconstructionPicture
@@ -160,9 +161,10 @@ def build_trainer(
     before = Progress.before(experiment, run, name)
     curves = Board(run.path, name, before, purge_step=resumed.step if resumed else None)
     curves.show_charts()
-    callbacks = [*_own_callbacks(experiment, run, name, phase), stopwatch, *copy.deepcopy([*experiment.callbacks])]
-    callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
     further = further_loggers(experiment, run.path, name)
+    callbacks = [Speed([curves, *further]), *_own_callbacks(experiment, run, name, phase), stopwatch]
+    callbacks += copy.deepcopy([*experiment.callbacks])
+    callbacks.append(Preemption(run.checkpoint(name)))  # last: it saves what the others have made of a step
     trainer = _lightning(settings, run.path, [curves, MetricsFile(run.phase(name)), *further], callbacks)
     step_quickly(trainer, capture=experiment.cuda_graphs and trainer.world_size == 1)
     tell_settings(further, all_settings(experiment))

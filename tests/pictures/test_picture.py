@@ -36,7 +36,7 @@ def test_a_figure_goes_to_tensorboard_and_beside_it_in_place_of_the_older_one(
     assert image[0, 0, :3].tolist() == [0, 0, 1]
     events = EventAccumulator(str(folder))
     events.Reload()
-    (shown,) = events.Images("paths")
+    (shown,) = events.Images("alignment/paths")
     assert (shown.height, shown.width) == (DPI, 2 * DPI)
     assert [file.name for file in folder.iterdir() if "tfevents" not in file.name] == ["paths.png"]
 

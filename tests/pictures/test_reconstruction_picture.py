@@ -58,7 +58,7 @@ def test_the_last_epoch_leaves_the_picture(
     logger.experiment.flush()
     events = EventAccumulator(logger.log_dir)
     events.Reload()
-    (shown,) = events.Images("reconstructions")
+    (shown,) = events.Images("alignment/reconstructions")
     assert imread(Path(logger.log_dir) / "reconstructions.png").shape[:2] == (shown.height, shown.width)
 
 

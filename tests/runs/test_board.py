@@ -29,7 +29,7 @@ def events_of(run: RunDirectory, phase: str) -> EventAccumulator:
     return events
 
 
-def steps(run: RunDirectory, phase: str, tag: str = "train/bc") -> list[int]:
+def steps(run: RunDirectory, phase: str, tag: str = "loss/train/bc") -> list[int]:
     return [event.step for event in events_of(run, phase).Scalars(tag)]
 
 
