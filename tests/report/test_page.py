@@ -7,17 +7,16 @@ import html as entities
 import io
 import json
 import re
-import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from browser import CHROMIUM, QUIET, needs_chromium
 from command import ROOT, plp
 from PIL import Image
 from samples import NASTY, add_run
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LOOK = """<script>onload = () => {
   const broken = [...document.images].filter(image => !image.complete || image.naturalWidth === 0).length;
   const wide = document.documentElement.scrollWidth > document.documentElement.clientWidth;
@@ -109,16 +108,10 @@ def browsed(page: str, width: int, folder: Path) -> dict[str, object]:
     """What a browser found in a page whose scripts may run."""
     copy = folder / "page.html"
     copy.write_text(BLOCKING.sub("", page).replace("</body>", LOOK))
-    options = ["--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},900", "--dump-dom"]
-    options += [f"--user-data-dir={folder / 'profile'}", "--disable-background-networking"]
+    options = [*QUIET, f"--window-size={width},900", "--dump-dom", f"--user-data-dir={folder / 'profile'}"]
     done = subprocess.run([str(CHROMIUM), *options, copy.as_uri()], capture_output=True, text=True, timeout=120)
     found: dict[str, object] = json.loads(entities.unescape(re.findall(r"<title>(.*?)</title>", done.stdout)[0]))
     return found
-
-
-needs_chromium = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs chromium, which draws pages: apt-get install chromium"
-)
 
 
 @needs_chromium

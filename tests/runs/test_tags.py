@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
+from command import ROOT
 
 from plp_lightning.runs.tags import board_tag
 
@@ -27,3 +30,9 @@ KNOWN = {
 def test_a_tag_begins_with_what_is_measured(name: str) -> None:
     assert board_tag(name) == KNOWN[name]
     assert board_tag(board_tag(name)) == KNOWN[name]
+
+
+def test_the_page_of_curves_tells_the_tags() -> None:
+    rows = re.findall(r"^\| `(\S+)` \| `(\S+)` \|", (ROOT / "docs" / "curves.md").read_text(), re.MULTILINE)
+    assert len(rows) >= 8
+    assert [board_tag(name) for name, _ in rows] == [tag for _, tag in rows]
