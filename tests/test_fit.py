@@ -70,7 +70,7 @@ def test_curves_settings_and_picture_are_in_tensorboard(pictured: RunDirectory) 
         scalars = set(events.Tags()["scalars"])
         assert {"loss/train/bc", "loss/held_out/bc", "loss/held_out/bc_flat"} <= scalars
         assert {"alignment/closeness", "final/target_success", "speed/steps_per_second"} <= scalars
-        assert events.Tags()["images"] == [f"{phase}/latents"]
+        assert events.Tags()["images"] == [f"{phase}/latents", f"{phase}/neighbours"]
         assert ("_hparams_/session_start_info" in events.summary_metadata) == (phase == PHASES[-1])  # a row a run
         assert (pictured.phase(phase) / "latents.png").stat().st_size > 0
 

@@ -19,8 +19,9 @@ from plp_lightning.envs.views import Arranged
 from plp_lightning.evaluation.scores import AlignmentScore, encode, sample_rows
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy
-from plp_lightning.pictures.neighbours import neighbour_figure, seen_images
+from plp_lightning.pictures.neighbours import Pictures, neighbour_figure, neighbour_pairs, seen_images
 from plp_lightning.pictures.publish import publish
+from plp_lightning.pictures.reenactment import Reenactment
 from plp_lightning.pictures.style import COLOURS, MARKERS
 
 LEGEND: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "ncols": 3, "markerscale": 2}
@@ -31,8 +32,8 @@ class LatentPicture(Callback):
 
     As in the paper (Figure 3), lines join states of source and target domain that correspond. The target task in
     the target domain is never read. Where a simulator tells how an episode is arranged, the same points are also
-    coloured by that: whether latent states know it decides whether a task can be adapted to. Where both domains have
-    cameras, states that are each other's nearest are drawn too (``neighbours.png``).
+    coloured by that: whether latent states know it decides whether a task can be adapted to. States that are each
+    other's nearest are shown too (``neighbours.png``), as cameras have seen them or as simulators draw them.
 
     Args:
         samples: States of each domain.
@@ -40,6 +41,7 @@ class LatentPicture(Callback):
         pairs: Corresponding states that are joined.
         score: Score that knows which states correspond; without one nothing is joined.
         simulators: Simulators by domain.
+        reenactment: Draws states that no camera has seen; without it they are not shown.
     """
 
     def __init__(
@@ -49,9 +51,10 @@ class LatentPicture(Callback):
         pairs: int = 20,
         score: AlignmentScore | None = None,
         simulators: Mapping[str, Simulator] | None = None,
+        reenactment: Reenactment | None = None,
     ) -> None:
         self.samples, self.every_n_epochs, self.pairs = samples, every_n_epochs, pairs
-        self.score, self.simulators = score, simulators or {}
+        self.score, self.simulators, self.reenactment = score, simulators or {}, reenactment
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         epoch = trainer.current_epoch + 1
@@ -67,10 +70,31 @@ class LatentPicture(Callback):
         latents = {d: encode(policy, d, states).numpy() for d, states in seen.items()}
         kinds = {d: self._arrangements(data, d, chosen) for d, chosen in rows.items()}
         publish(trainer, "latents", latent_figure(latents, self._joined(policy, data), kinds))
-        order = [data.source_domain, data.target_domain]
-        nearest = neighbour_figure({d: latents[d] for d in order if d in latents}, seen_images(seen))
-        if nearest is not None:
-            publish(trainer, "neighbours", nearest)
+        nearest = {d: latents[d] for d in (data.source_domain, data.target_domain) if d in latents}
+        figure = neighbour_figure(nearest, self._images(data, rows, seen_images(seen), nearest))
+        if figure is not None:
+            publish(trainer, "neighbours", figure)
+
+    def _images(
+        self,
+        data: TransferDataModule,
+        rows: Mapping[str, np.ndarray],
+        seen: Mapping[str, np.ndarray],
+        latents: Mapping[str, np.ndarray],
+    ) -> dict[str, Pictures]:
+        """What cameras have seen of states, and drawings of those that are nearest where there is no camera."""
+        images: dict[str, Pictures] = dict(seen)
+        if self.reenactment is None or len(latents) < 2:
+            return images
+        pairs = neighbour_pairs(*latents.values())
+        for side, domain in enumerate(latents):
+            if domain not in images:
+                chosen = [int(pair[side]) for pair in pairs]
+                drawn = self.reenactment.images(data, domain, rows[domain][chosen])
+                if not drawn:
+                    break
+                images[domain] = dict(zip(chosen, drawn, strict=True))
+        return images
 
     def _arrangements(self, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[str]:
         """Arrangement of each row's episode; empty if the simulator knows of none."""

@@ -1,4 +1,4 @@
-"""States of two domains that are nearest to each other in the latent space, as their cameras see them."""
+"""States of two domains that are nearest to each other in the latent space, as cameras or simulators show them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from datamodules.types import Observation
 from plp_lightning.pictures.style import GREY
 
 PAIRS = 8  # Pairs that are shown, from the nearest to the farthest
+Pictures = np.ndarray | Mapping[int, np.ndarray]
 
 
 def neighbour_pairs(first: np.ndarray, second: np.ndarray, count: int = PAIRS) -> list[tuple[int, int, float]]:
@@ -28,12 +29,12 @@ def neighbour_pairs(first: np.ndarray, second: np.ndarray, count: int = PAIRS) -
     return [mutual[i] for i in chosen]
 
 
-def neighbour_figure(latents: Mapping[str, np.ndarray], images: Mapping[str, np.ndarray]) -> Figure | None:
+def neighbour_figure(latents: Mapping[str, np.ndarray], images: Mapping[str, Pictures]) -> Figure | None:
     """Pairs of nearest states, an image above the other; None unless two domains have images.
 
     Args:
         latents: By domain, ``(N_d, Z)``; the first two with images are shown.
-        images: By domain with a camera, ``(N_d, H, W, C)`` uint8 of the same states.
+        images: By domain, ``(H, W, C)`` uint8 of the same states by their index, of those in pairs at least.
     """
     domains = [domain for domain in latents if domain in images][:2]
     if len(domains) < 2:

@@ -41,7 +41,7 @@ def check_filmable(simulator: Simulator, domain: str, task: str, seed: int, size
         check_backend()  # before MuJoCo is imported, which fails where the library of MUJOCO_GL is missing
     with blaming(simulator):
         observation = simulator.reset([task], [seed])
-    _seen(simulator, observation, size)
+    seen(simulator, observation, size)
 
 
 def replay(simulator: Simulator, task: str, seed: int, actions: np.ndarray, size: tuple[int, int]) -> Played:
@@ -62,22 +62,34 @@ def replay(simulator: Simulator, task: str, seed: int, actions: np.ndarray, size
     every = max(1, round(hertz / RATE), math.ceil(len(actions) / MOST))
     with blaming(simulator):
         observation, success = simulator.reset([task], [seed]), np.zeros(1, dtype=np.bool_)
-    frames = [_seen(simulator, observation, size)]
+    frames = [seen(simulator, observation, size)]
     for t, action in enumerate(actions, 1):
         with blaming(simulator):
             observation, success = simulator.step(action[None], ONLY)[:2]
         if t % every == 0 or t == len(actions):
-            frames.append(_seen(simulator, observation, size))
+            frames.append(seen(simulator, observation, size))
             _check_shape(simulator, frames[-1].shape, frames[0].shape)
     return Played(frames, hertz / every, bool(success[0]))
 
 
-def _seen(simulator: Simulator, observation: Observation[np.ndarray], size: tuple[int, int]) -> np.ndarray:
-    """The only episode's picture ``(H, W, 3)``; grey becomes a colour, and what is behind three channels is left."""
+def seen(
+    simulator: Simulator, observation: Observation[np.ndarray], size: tuple[int, int], episode: np.ndarray = ONLY
+) -> np.ndarray:
+    """Picture ``(H, W, 3)`` of one episode ``(1,)``; grey becomes a colour, what is behind three channels is left.
+
+    Args:
+        simulator: The domain.
+        observation: What is seen of that episode, ``(1, …)``.
+        size: Height and width that are asked for, pixels.
+        episode: Its number among those that run.
+
+    Raises:
+        UserError: If it cannot be drawn on this machine, or is no picture.
+    """
     images: object = next(iter(observation.images.values()), None)  # the first camera's, of several
     if isinstance(simulator, Rendered):
         with blaming(simulator):
-            images = simulator.render(ONLY, size)
+            images = simulator.render(episode, size)
     if not isinstance(images, np.ndarray) or images.dtype != np.uint8:
         given = f"an array of {images.dtype}" if isinstance(images, np.ndarray) else type(images).__name__
         raise UserError(

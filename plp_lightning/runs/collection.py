@@ -6,7 +6,7 @@ import itertools
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -15,13 +15,13 @@ from typing import NoReturn
 import numpy as np
 
 from datamodules.errors import UserError
-from datamodules.named import join_observations
 from datamodules.store.reader import TrajectoryFile, stored_count
 from datamodules.store.recorder import Recorder
-from datamodules.streams import EpisodeStream, episode_generator, episode_seed
-from datamodules.types import Observation, Trajectory
-from plp_lightning.envs.base import Domain, Step, available_cores
-from plp_lightning.envs.rollout import Observer, rollout
+from datamodules.streams import episode_seed
+from datamodules.types import Trajectory
+from plp_lightning.envs.base import Domain, available_cores
+from plp_lightning.envs.demonstrator import Demonstrator
+from plp_lightning.envs.rollout import rollout
 from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.runs.provenance import expert_differences, expert_record
@@ -228,55 +228,3 @@ def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Traje
 def _trajectory(job: Job, demonstrator: Demonstrator, index: int) -> Trajectory:
     seed = demonstrator.seeds[index]
     return Trajectory(job.domain, job.task, *demonstrator.episode(index), seed=seed, success=True)
-
-
-class Demonstrator(Observer):
-    """Lets an expert act, hears what comes of it, and writes down all that was seen and what the expert wanted.
-
-    Args:
-        domain: Who acts, and where.
-        noise: Standard deviation of noise on the executed action.
-        random_start_steps: Control steps before the expert takes over, in which each episode repeats a random action.
-    """
-
-    def __init__(self, domain: Domain, noise: float, random_start_steps: int = 0) -> None:
-        assert domain.expert is not None
-        self.simulator, self.expert = domain.world, domain.expert
-        self.noise, self.random_start_steps = noise, random_start_steps
-
-    def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
-        """Forget everything but how the episodes begin; seeds are also those of noise and random actions."""
-        self.expert.begin(self.simulator, tasks, seeds)
-        size = self.simulator.spec("").action_size
-        drifts = [episode_generator(seed, EpisodeStream.RANDOM_START).uniform(-1, 1, size) for seed in seeds]
-        self.seeds, self.drifts = seeds, np.array(drifts, dtype=np.float32)
-        self.generators = [episode_generator(seed, EpisodeStream.ACTION_NOISE) for seed in seeds]
-        self.drifting = self.random_start_steps
-        self.seen = [(np.arange(len(tasks)), observation)]
-        self.wanted: list[tuple[np.ndarray, np.ndarray]] = []
-
-    def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """The expert's actions, with noise if asked for; before it takes over, the episodes' own random ones."""
-        if self.drifting > 0:
-            drifting: np.ndarray = self.drifts[episodes]
-            return drifting
-        actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
-        self.wanted.append((episodes, actions))
-        if self.noise == 0:
-            return actions
-        shaken = [self.generators[e].normal(0, self.noise, actions.shape[1]) for e in episodes]
-        noisy: np.ndarray = np.clip(actions + np.array(shaken, dtype=np.float32), -1, 1)
-        return noisy
-
-    def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
-        """Write down what the episodes show now; while they drift, only that."""
-        if self.drifting > 0:
-            self.drifting -= 1
-            self.seen.clear()
-        self.seen.append((episodes, step.observation))
-
-    def episode(self, index: int) -> tuple[Observation[np.ndarray], np.ndarray]:
-        """Observations ``(T + 1, …)``, the last after the last action, and actions ``(T, A)`` of one episode."""
-        seen = [observation.take(i) for episodes, observation in self.seen for i in np.flatnonzero(episodes == index)]
-        actions = [wanted[episodes == index] for episodes, wanted in self.wanted]
-        return join_observations(seen, np.stack), np.concatenate(actions)

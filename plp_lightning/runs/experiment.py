@@ -24,7 +24,9 @@ from plp_lightning.evaluation.scores import JointScore
 from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
-from plp_lightning.runs.plans import EvaluationPlan
+from plp_lightning.pictures.reenactment import Reenactment
+from plp_lightning.runs.collection import ExpertCollector
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
 
 PolicyFactory = Callable[[TransferProblem], Policy]
 PhaseFactory = Callable[[Policy], Phase[Any]]
@@ -69,6 +71,13 @@ class Experiment:
     def simulators(self) -> dict[str, Simulator]:
         """Simulators by domain, of those that have one."""
         return {name: domain.simulator for name, domain in self.domains.items() if domain.simulator is not None}
+
+    @property
+    def reenactment(self) -> Reenactment:
+        """Draws what demonstrations show, as they were collected."""
+        collector = self.data.collector
+        recipe = collector.recipe if isinstance(collector, ExpertCollector) else CollectionConfig()
+        return Reenactment(self.simulators, recipe.noise, recipe.random_start_steps)
 
     @property
     def eval_settings(self) -> dict[str, EvalSetting]:

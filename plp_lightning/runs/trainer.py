@@ -217,7 +217,7 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: 
     found = _callbacks_of_all(experiment, name, phase)
     if plan.latent_states > 0:
         drawn = plan.latent_states, plan.latent_every_n_epochs, plan.latent_pairs
-        found.append(LatentPicture(*drawn, experiment.score, simulators))
+        found.append(LatentPicture(*drawn, experiment.score, simulators, experiment.reenactment))
     if plan.reconstructions > 0:
         found.append(ReconstructionPicture(plan.reconstructions))
     found += [Owner(run.checkpoint(name), run.identity, name), PhaseProgress(name)]

@@ -69,7 +69,7 @@ def test_the_first_chart_is_success_in_both_domains_over_both_phases(address: st
 
 def test_curves_and_pictures_are_in_their_groups(address: str, browser: Browser) -> None:
     shown = (
-        r"adaptation 2 cards .* alignment 3 cards .* behaviour 4 cards epoch final 5 cards latents loss 6 cards speed "
+        r"adaptation 4 cards .* alignment 5 cards .* behaviour 4 cards epoch final 5 cards latents loss 6 cards speed "
     )
     browser.wait(f"{address}#timeseries", lambda text: re.search(f"{shown}success 4 cards ", text))
 

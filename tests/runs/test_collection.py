@@ -16,6 +16,7 @@ from datamodules.store.writer import TrajectoryFile, write_trajectories
 from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.base import Domain, Expert, Simulator, Step
+from plp_lightning.envs.demonstrator import Demonstrator
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.runs import collection
@@ -275,7 +276,7 @@ def test_the_last_image_is_kept_with_the_last_state() -> None:
 def test_demonstrators_keep_what_is_seen_after_the_last_action(random_start_steps: int) -> None:
     domain = Domain(LinearPoint(1, 3), LinearPointExpert())
     tasks, seeds = ["goal_1", "goal_4", "goal_6"], [5, 6, 7]
-    demonstrator = collection.Demonstrator(domain, 0.0, random_start_steps)
+    demonstrator = Demonstrator(domain, 0.0, random_start_steps)
     outcome = rollout(domain.simulator, demonstrator.act, tasks, seeds, observers=[demonstrator])
     for index, (task, seed) in enumerate(zip(tasks, seeds, strict=True)):
         observation, actions = demonstrator.episode(index)
