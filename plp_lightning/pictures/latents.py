@@ -86,7 +86,8 @@ class LatentPicture(Callback):
         images: dict[str, Pictures] = dict(seen)
         if self.reenactment is None or len(latents) < 2:
             return images
-        pairs = neighbour_pairs(*latents.values())
+        first, second = latents.values()
+        pairs = neighbour_pairs(first, second)
         for side, domain in enumerate(latents):
             if domain not in images:
                 chosen = [int(pair[side]) for pair in pairs]

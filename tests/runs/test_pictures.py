@@ -31,9 +31,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
 def test_every_phase_leaves_its_pictures(phase: str, run: RunDirectory) -> None:
     events = EventAccumulator(str(run.phase(phase)))
     events.Reload()
-    assert set(events.Tags()["images"]) == {"latents", "paths"}
+    assert set(events.Tags()["images"]) == {f"{phase}/latents", f"{phase}/paths"}
     for name in ("latents", "paths"):
-        (shown,) = events.Images(name)
+        (shown,) = events.Images(f"{phase}/{name}")
         assert imread(run.phase(phase) / f"{name}.png").shape[:2] == (shown.height, shown.width)
 
 
