@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from datamodules.errors import ConfigError
+from plp_lightning.sweeps.gpu_memory import GpuMemory
 from plp_lightning.sweeps.manifest import Job, unmet
 from plp_lightning.sweeps.memory import free_bytes, peak_bytes
 from plp_lightning.sweeps.processes import JobProcess, last_words, stop
@@ -45,6 +46,7 @@ class LocalEngine(Engine):
         self.free, self.running = list(places), list[tuple[JobProcess, Mapping[str, str]]]()
         self.at_a_time, self.attempts = len(places), Counter[str]()
         self.largest = 0  # Bytes that the largest process so far has taken
+        self.gpu_memory = GpuMemory()
 
     @property
     def waiting(self) -> list[Job]:
@@ -86,16 +88,26 @@ class LocalEngine(Engine):
     def _begin_what_may(self) -> None:
         phases: dict[str, list[str]] = {}  # as they are now
         for job in self.waiting:
-            if not self.free or (self.running and free_bytes() < self.largest):
+            if (place := self._place()) is None:
                 break
             lacking = unmet(job, self.jobs, self.progress.states, phases)
             if not lacking:
-                self._begin(job)
+                self._begin(job, place)
             elif lost := [name for name in lacking if self.progress.states[name] in ("failed", "blocked")]:
                 self.progress.set(job.name, "blocked", f"{lost[0]} is not done")
 
-    def _begin(self, job: Job) -> None:
-        place = self.free.pop(0)
+    def _place(self) -> Mapping[str, str] | None:
+        """A place that is free, with memory for one more run beside those that are there; None if there is none."""
+        if self.running and free_bytes() < self.largest:
+            return None
+        return next((place for place in self.free if VISIBLE not in place or self._has_room(place[VISIBLE])), None)
+
+    def _has_room(self, gpu: str) -> bool:
+        there = [process.process.pid for process, place in self.running if place.get(VISIBLE) == gpu]
+        return not there or self.gpu_memory.has_room(gpu.strip(), there)
+
+    def _begin(self, job: Job, place: Mapping[str, str]) -> None:
+        self.free.remove(place)
         self.running.append((JobProcess(job, place), place))
         self.progress.set(job.name, "running")
 

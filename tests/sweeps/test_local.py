@@ -117,12 +117,16 @@ def shell(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def work(folder: Path, jobs: dict[str, Any], retries: int = 0, count: int = 2) -> SweepProgress:
+    return work_at(folder, jobs, [{"PLACE": str(i)} for i in range(count)], retries)
+
+
+def work_at(folder: Path, jobs: dict[str, Any], places: list[dict[str, str]], retries: int = 0) -> SweepProgress:
     made = [
         Job(name, [words], str(folder / f"{name}.log"), after=dict.fromkeys(after))
         for name, (words, *after) in jobs.items()
     ]
-    with SweepProgress(made, count) as progress:
-        LocalEngine(made, [{"PLACE": str(i)} for i in range(count)], retries).run(progress)
+    with SweepProgress(made, len(places)) as progress:
+        LocalEngine(made, places, retries).run(progress)
     return progress
 
 
