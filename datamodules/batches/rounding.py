@@ -5,13 +5,14 @@ That takes ten times as long as a batch's product, so batches whose rows vary ar
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import torch
 from torch import Tensor
 
 from datamodules.batches.fixed import is_filled
-from datamodules.types import PackedTrajectories
+from datamodules.named import join_observations
+from datamodules.types import Observation, PackedTrajectories
 
 SHAPES = 16
 """Numbers of rows, evenly spaced, from one power of two to the next."""
@@ -33,6 +34,20 @@ def wants_rows_that_recur(sequences: Iterable[PackedTrajectories]) -> bool:
     """Tell whether programs are made for these ``(P, T)``: on a processor, in half precision, if their rows vary."""
     rows_vary = [s.mask.device.type == "cpu" and not is_filled(s) for s in sequences]
     return torch.is_autocast_enabled("cpu") and bool(rows_vary) and all(rows_vary)
+
+
+def fill_up(
+    seen: Mapping[str, Observation[Tensor]], sequences: Mapping[str, PackedTrajectories]
+) -> Mapping[str, Observation[Tensor]]:
+    """Repeat some rows behind those of one domain ``(B_d, …)``, if it is worth it, so that the number of all recurs.
+
+    Sequences ``(P, T)`` are those whose frames are among the rows.
+    """
+    if not wants_rows_that_recur(sequences.values()):
+        return seen
+    domain, rows = [*sequences][-1], {d: len(part.state) for d, part in seen.items()}
+    more = rows_to_fill(sum(rows.values()), most=rows[domain])
+    return {**seen, domain: join_observations([seen[domain], seen[domain].take(slice(more))], torch.cat)}
 
 
 def with_rows_that_recur(*sequences: PackedTrajectories) -> tuple[PackedTrajectories, ...]:

@@ -39,8 +39,7 @@ class Simulator(Configured, ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     """Modules that it imports at its first reset, and that the core of this project goes without."""
     imports: tuple[str, ...] = ()  # Packages of others that it imports: their user has to allow them
-    threads: int = 0
-    """Threads that step physics; 0 means one for each core. May be set until the first reset."""
+    threads: int = 0  # That step physics; 0 means one for each core. May be set until the first reset
 
     @property
     @abstractmethod

@@ -10,10 +10,11 @@ import torch
 from lightning.pytorch import Trainer
 from torch import Tensor
 
+from datamodules.batches import rounding
 from datamodules.errors import ConfigError
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.methods.plp import Alignment, alignment
+from plp_lightning.methods.plp import Alignment
 from plp_lightning.methods.plp.losses import (
     domain_discriminator_loss,
     domain_generator_loss,
@@ -200,7 +201,7 @@ def test_rows_that_fill_a_batch_up_change_no_gradient(trajectory_file: Path, mon
         phase.policy.encoder.register_forward_hook(lambda module, args, out: rows.append(len(out)))
         phase.training_step(next(iter(data.loader(phase.batch_spec))), 0).backward()
         found.append({name: parameter.grad for name, parameter in phase.named_parameters()})
-        monkeypatch.setattr(alignment, "wants_rows_that_recur", lambda sequences: True)
+        monkeypatch.setattr(rounding, "wants_rows_that_recur", lambda sequences: True)
     assert rows[1] > rows[0]
     torch.testing.assert_close(*found, rtol=1e-4, atol=1e-6)
 

@@ -8,16 +8,16 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from datamodules.batches.rounding import rows_to_fill, wants_rows_that_recur
+from datamodules.batches.rounding import fill_up
 from datamodules.named import join_observations
 from datamodules.settings import PositiveInt
-from datamodules.types import Batch, BatchSpec, PackedTrajectories, Steps
+from datamodules.types import Batch, BatchSpec, Steps
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count, tasks_of
 from plp_lightning.methods.plp.policy import PortablePolicy
 from plp_lightning.methods.plp.terms import AlignmentTerm, EncodedBatch, TermFactory
-from plp_lightning.methods.policy import Observations, Parts
+from plp_lightning.methods.policy import Parts
 
 
 class Alignment(Phase[PortablePolicy]):
@@ -77,7 +77,7 @@ class Alignment(Phase[PortablePolicy]):
         pairs, counts = batch.pairs, {domain: len(s.action) for domain, s in batch.steps.items()}
         stacked = {d: s.observation for d, s in batch.steps.items()}
         stacked |= {d: join_observations([stacked[d], s.observation], torch.cat) for d, s in pairs.items()}
-        seen = self.policy.encode_images(_with_rows_that_recur(stacked, pairs))
+        seen = self.policy.encode_images(fill_up(stacked, pairs))
         latent = self.policy.encode(seen)
         steps = {d: s._replace(observation=seen[d].take(slice(counts[d]))) for d, s in batch.steps.items()}
         of_steps = {d: latent[d][:count] for d, count in counts.items()}
@@ -89,13 +89,3 @@ class Alignment(Phase[PortablePolicy]):
         latent_action = self.policy.latent_action(latent, tasks_of(steps))
         action = self.policy.decode(latent_action, {domain: s.observation for domain, s in steps.items()})
         return {"bc": behavioural_cloning(action, {d: s.action for d, s in steps.items()}, self.bc_reduction)}
-
-
-def _with_rows_that_recur(stacked: Observations, pairs: Mapping[str, PackedTrajectories]) -> Observations:
-    """Repeats some rows behind those of one domain, if it is worth it, so that the number of all comes again."""
-    if not wants_rows_that_recur(pairs.values()):
-        return stacked
-    domain, rows = [*pairs][-1], {d: len(seen.state) for d, seen in stacked.items()}
-    more = rows_to_fill(sum(rows.values()), most=rows[domain])
-    seen = stacked[domain]
-    return {**stacked, domain: join_observations([seen, seen.take(slice(more))], torch.cat)}
