@@ -1,46 +1,35 @@
-"""Costs of a step of a phase: under the Trainer as `plp fit` has it, without CUDA graphs, in a bare loop, as a graph.
+"""Steps of any phase: under the Trainer as ``plp fit`` has it, in a bare loop, and as a CUDA graph.
 
-    python benchmarks/phase_steps.py [p2p_alignment p2p_adaptation …] [--accelerator cpu] [--steps 400] [--turns 3]
-                                     [--json FILE]
-
-Demonstrations are random numbers in the shapes of the experiment, so nothing is collected. The ways take turns, and
-each is timed over the second epoch of so many steps, by the clock on a GPU and by processor time elsewhere. Ratios are
-to the bare loop: median, least and most of all turns. With `--compare` weights after so many steps with and without
-graphs are compared instead.
+Demonstrations are random numbers in the shapes of the experiment, so nothing is collected.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import logging
-import statistics
-import time
-import traceback
-import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from lightning.pytorch import Callback, LightningModule, Trainer, seed_everything
+from lightning.pytorch import seed_everything
 
+from benchmarks.measuring import Options, Row, at_most, in_turn, ratio
+from benchmarks.synthetic import random_trajectory
+from benchmarks.training import bare_loop, clock, fit
 from datamodules.batches.fixed import FixedLoader
 from datamodules.store.writer import write_trajectories
-from datamodules.types import Observation, Trajectory
-from plp_lightning.callbacks.checkpointing import RandomState
-from plp_lightning.callbacks.freezing import FreezeGuard
-from plp_lightning.callbacks.guard import FiniteGuard
-from plp_lightning.callbacks.preemption import Preemption
+from datamodules.types import Batch
 from plp_lightning.cli.config import parse
+from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.phase import Phase
+from plp_lightning.methods.plp.losses import mmd
+from plp_lightning.methods.plp.policy import PortablePolicy
 from plp_lightning.runs.experiment import Experiment
-from plp_lightning.runs.metrics_file import MetricsFile
-from plp_lightning.steps.loop import step_quickly
 
 CONFIGS = Path(__file__).parents[1] / "configs"
+UNDER, BARE, GRAPHS, GRAPH = "under the Trainer", "bare loop", "as graphs", "graph alone"
 
 
 class Case(NamedTuple):
@@ -58,9 +47,6 @@ CASES = {
     "p2p_alignment": Case((P2P,), "alignment"),
     "p2p_adaptation": Case((P2P,), "adaptation", per_task=120),
     "p2a_plp_t_alignment": Case((P2A, "methods/plp_t.yaml"), "alignment", length=200, per_task=12),
-    "p2a_plp_t_alignment_fp32": Case(
-        (P2A, "methods/plp_t.yaml"), "alignment", ("--trainer.precision", "32-true"), length=200, per_task=12
-    ),
     "p2a_plp_t_adaptation": Case((P2A, "methods/plp_t.yaml"), "adaptation", length=200, per_task=40),
     "r2r_alignment": Case((R2R,), "alignment", length=40, per_task=40),
     "p2p_alignment_4096": Case((P2P,), "alignment", ("--data.batch_size", "4096")),
@@ -79,195 +65,133 @@ CASES = {
 }
 
 
+class Steps:
+    """Ways to take so many steps of a case on a device, each from the weights that the seed gives."""
+
+    def __init__(self, case: Case, folder: Path, device: str, steps: int) -> None:
+        self.case, self.folder, self.device, self.steps = case, folder, device, steps
+        self.experiment = experiment_of(case, folder)
+        self.settings = {key: self.experiment.trainer[key] for key in ("precision", "log_every_n_steps")}
+        self.settings["gradient_clip_val"] = self.experiment.trainer["gradient_clip_val"]
+
+    def new_phase(self) -> Phase[Any]:
+        """The phase with the weights that its seed gives."""
+        seed_everything(self.experiment.seed, verbose=False)
+        return self.experiment.method.phases[self.case.phase](self.experiment.build_policy())
+
+    def fitted(self, graphs: bool, steps: int, epochs: int) -> tuple[float, Phase[Any]]:
+        """Seconds a step under the Trainer, and the phase that took them."""
+        phase = self.new_phase()
+        data, place = self.experiment.data, self.folder
+        return fit(phase, data, place, steps, epochs, self.device, graphs, **self.settings), phase
+
+    def trainer(self, graphs: bool) -> float:
+        """Seconds a step as ``plp fit`` takes them."""
+        return self.fitted(graphs, self.steps, epochs=2)[0]
+
+    def bare(self) -> float:
+        """Seconds a step of a plain loop over the same batches."""
+        _, phase = self.fitted(False, 2, epochs=1)  # what it caches before the first step
+        data, device = self.experiment.data, phase.trainer.strategy.root_device
+        phase.to(device).train()
+        loader = data.loader(phase.batch_spec)
+
+        def loss(batch: Batch) -> torch.Tensor:
+            moved = data.transfer_batch_to_device(batch, device, 0)
+            with torch.autocast(device.type, torch.bfloat16, enabled=self.settings["precision"] == "bf16-mixed"):
+                found: torch.Tensor = phase.training_step(moved, 0)
+            return found
+
+        return bare_loop(loss, phase.parameters(), partial(iter, loader), self.steps, device)
+
+    def replays(self) -> float:
+        """Seconds of a step's graph alone."""
+        _, phase = self.fitted(True, 2, epochs=1)
+        graphs, loader = phase.trainer.fit_loop.epoch_loop.automatic_optimization.graphs, phase.trainer.train_dataloader
+        assert isinstance(loader, FixedLoader) and graphs is not None
+        graph, now = next(iter(graphs.steps.values())).graph, clock(phase.trainer.strategy.root_device)
+        began = now()
+        for _ in range(self.steps):
+            graph.replay()
+        return (now() - began) / self.steps
+
+
 def experiment_of(case: Case, folder: Path) -> Experiment:
     """The experiment of a case, with random demonstrations."""
     words = [word for file in case.files for word in ("--config", str(CONFIGS / file))]
-    file = folder / "random.hdf5"
-    experiment = parse([*words, *case.options, "--data.file", str(file)])
+    file, rng = folder / "random.hdf5", np.random.default_rng(0)
+    graphs = () if "--cuda_graphs" in case.options else ("--cuda_graphs", "true")
+    experiment = parse([*words, *case.options, *graphs, "--data.file", str(file)])
     experiment.data.collector, experiment.data.missing = None, dict  # type: ignore[method-assign]
-    invent(experiment, case, file)
+    tasks, numbers = experiment.data.tasks, range(case.per_task)
+    made = [random_trajectory(s, t, case.length, i, rng) for s in experiment.specs for t in tasks for i in numbers]
+    write_trajectories(file, experiment.specs, tasks, made, {})
     return experiment
 
 
-def invent(experiment: Experiment, case: Case, path: Path) -> None:
-    """Write random demonstrations in the shapes of the experiment's domains."""
-    rng, specs, made = np.random.default_rng(0), experiment.specs, []
-    for spec in specs:
-        for task in experiment.data.tasks:
-            for i in range(case.per_task):
-                images = {
-                    key.name: rng.integers(0, 256, (case.length, *key.shape), dtype=np.uint8) for key in spec.image_keys
-                }
-                state = rng.normal(size=(case.length, spec.state_size)).astype(np.float32)
-                action = rng.uniform(-1, 1, (case.length, spec.action_size)).astype(np.float32)
-                made.append(Trajectory(spec.name, task, Observation(state, images), action, seed=i, success=True))
-    write_trajectories(path, specs, experiment.data.tasks, made, {})
+def trainer(options: Options) -> Iterator[Row]:
+    """Steps under the Trainer against bare loops of the same phases."""
+    names = ["p2p_alignment", "p2p_adaptation", "p2a_plp_t_alignment", "r2r_alignment"]
+    for name in names[: options.pick(len(names), 1)]:
+        with TemporaryDirectory() as folder:
+            case = Steps(CASES[name], Path(folder), options.device, options.pick(300, 100))
+            ways = {UNDER: lambda case=case: case.trainer(False), BARE: case.bare}
+            times = in_turn(ways, options.pick(9, 3))
+        yield ratio(f"{name}: {UNDER} / {BARE}", times, UNDER, BARE, at_most(1.05))
 
 
-class Clock(Callback):
-    """Seconds that the last epoch has taken."""
-
-    seconds = float("nan")
-
-    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self.began = now()
-
-    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self.seconds = now() - self.began
+def written_out(options: Options) -> Iterator[Row]:
+    """Steps of P2P-medium's alignment under the Trainer against the same model and losses in a loop of ten lines."""
+    with TemporaryDirectory() as folder:
+        case = Steps(CASES["p2p_alignment"], Path(folder), options.device, options.pick(300, 100))
+        ways = {UNDER: lambda: case.trainer(False), BARE: lambda: written_loop(case)}
+        times = in_turn(ways, options.pick(9, 3))
+    yield ratio(f"p2p_alignment: {UNDER} / loop without this project", times, UNDER, BARE, at_most(1.05))
 
 
-def now() -> float:
-    """Seconds when the GPU has come to an end; without one the processor's, which other jobs change little."""
-    if not torch.cuda.is_available():
-        return time.process_time()
-    torch.cuda.synchronize()
-    return time.perf_counter()
+def written_loop(case: Steps) -> float:
+    """Seconds a step of a loop that has the policy's networks and the two losses, and nothing else of a phase."""
+    policy, data = case.new_phase().policy, case.experiment.data
+    assert isinstance(policy, PortablePolicy)
+    loader = data.loader(case.new_phase().batch_spec)
+
+    def loss(batch: Batch) -> torch.Tensor:
+        seen = {domain: steps.observation for domain, steps in batch.steps.items()}
+        out = policy(seen, {domain: steps.task for domain, steps in batch.steps.items()})
+        cloning = behavioural_cloning(out.action, {domain: steps.action for domain, steps in batch.steps.items()})
+        return cloning + 0.5 * mmd([*out.latent.values()], bandwidths=(1.0, 0.5, 0.25))
+
+    return bare_loop(loss, policy.parameters(), partial(iter, loader), case.steps)
 
 
-def new_phase(experiment: Experiment, name: str) -> Phase[Any]:
-    """The phase with the weights that its seed gives."""
-    seed_everything(experiment.seed, verbose=False)
-    experiment.data.trainer = None
-    return experiment.method.phases[name](experiment.build_policy())
+def on_device(options: Options, name: str, milliseconds: float) -> Iterator[Row]:
+    """Milliseconds of a case's step, as ``plp fit`` takes it; on a GPU as graphs, and beside what is not."""
+    gpu = options.device == "cuda"
+    with TemporaryDirectory() as folder:
+        case = Steps(CASES[name], Path(folder), options.device, options.pick(400, 20))
+        own = in_turn({GRAPHS: lambda: case.trainer(gpu)}, options.pick(3, 1), warm=0)[GRAPHS]
+        told = "" if gpu else "without graphs: not on a GPU"
+        yield Row(f"{name}: a step of plp fit", [1e3 * s for s in own], "ms", at_most(milliseconds), note=told)
+        times = in_turn({UNDER: lambda: case.trainer(False), BARE: case.bare}, options.pick(2, 1), warm=0)
+        yield ratio(f"{name}: {UNDER}, no graphs / {BARE}", times, UNDER, BARE)
+        if gpu:
+            times = in_turn({GRAPHS: lambda: case.trainer(True), GRAPH: case.replays}, 2, warm=0)
+            yield ratio(f"{name}: {GRAPHS} / {GRAPH}", times, GRAPHS, GRAPH)
 
 
-def fit(
-    experiment: Experiment, name: str, accelerator: str, folder: Path, steps: int, epochs: int, graphs: bool
-) -> tuple[float, Phase[Any]]:
-    """Seconds a step of the last epoch of a phase that is trained as `plp fit` does, and the phase."""
-    phase, clock = new_phase(experiment, name), Clock()
-    trainer = Trainer(
-        accelerator=accelerator,
-        devices=1,
-        precision=experiment.trainer["precision"],
-        log_every_n_steps=experiment.trainer["log_every_n_steps"],
-        gradient_clip_val=experiment.trainer["gradient_clip_val"],
-        max_epochs=epochs,
-        limit_train_batches=steps,
-        limit_val_batches=0,
-        logger=[MetricsFile(folder)],
-        callbacks=[FreezeGuard(), FiniteGuard(), RandomState(), clock, Preemption(folder / "last.ckpt")],
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-    )
-    step_quickly(trainer, graphs)
-    trainer.fit(phase, datamodule=experiment.data)
-    return clock.seconds / steps, phase
-
-
-def bare(experiment: Experiment, name: str, accelerator: str, folder: Path, steps: int) -> float:
-    """Seconds a step of a plain loop: gather, move, losses, backward, optimizer."""
-    _, phase = fit(experiment, name, accelerator, folder, 2, 1, graphs=False)  # what it caches before the first step
-    device = phase.trainer.strategy.root_device
-    phase.to(device).train()
-    optimizer = torch.optim.AdamW(phase.parameters(), lr=1e-4, fused=True)
-    half = experiment.trainer["precision"] == "bf16-mixed"
-    loader, took = experiment.data.loader(phase.batch_spec), 0.0
-    for _ in range(2):
-        began = now()
-        for _, batch in zip(range(steps), loader, strict=False):
-            moved = experiment.data.transfer_batch_to_device(batch, device, 0)
-            with torch.autocast(device.type, torch.bfloat16, enabled=half):
-                loss = phase.training_step(moved, 0)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-        took = now() - began
-        loader.load_state_dict({"epoch": 1, "step": 0})
-    return took / steps
-
-
-def replays(experiment: Experiment, name: str, accelerator: str, folder: Path, steps: int) -> float:
-    """Seconds of a step's graph alone."""
-    _, phase = fit(experiment, name, accelerator, folder, 2, 1, graphs=True)
-    steps_of, loader = phase.trainer.fit_loop.epoch_loop.automatic_optimization, phase.trainer.train_dataloader
-    assert isinstance(loader, FixedLoader)
-    assert steps_of.graphs is not None
-    layout = next(iter(steps_of.graphs.steps))
-    graph = steps_of.graphs.steps[layout].graph
-    began = now()
-    for _ in range(steps):
-        graph.replay()
-    return (now() - began) / steps
-
-
-def measure(case: Case, accelerator: str, steps: int, turns: int, folder: Path) -> dict[str, Any]:
-    """Milliseconds a step in each way, and ratios to the bare loop."""
-    experiment = experiment_of(case, folder)
-    ways = {
-        "trainer": lambda: fit(experiment, case.phase, accelerator, folder, steps, 2, True)[0],
-        "bare": lambda: bare(experiment, case.phase, accelerator, folder, steps),
-    }
-    if accelerator != "cpu" and torch.cuda.is_available():
-        ways["without_graphs"] = lambda: fit(experiment, case.phase, accelerator, folder, steps, 2, False)[0]
-        ways["graph"] = lambda: replays(experiment, case.phase, accelerator, folder, steps)
-    found: dict[str, list[float]] = {name: [] for name in ways}
-    errors: dict[str, str] = {}
-    for _ in range(turns):
-        for name, way in ways.items():
-            try:
-                found[name].append(1e3 * way())
-            except Exception as error:  # one way that fails leaves the others
-                errors[name] = f"{type(error).__name__}: {str(error)[:300]}"
-                traceback.print_exc()
-    row: dict[str, Any] = {f"{name}_ms": statistics.median(times) for name, times in found.items() if times}
-    for name, times in found.items():
-        ratios = [time / plain for time, plain in zip(times, found["bare"], strict=False)]
-        if ratios and name != "bare":
-            row[f"{name}_ratio"] = [statistics.median(ratios), min(ratios), max(ratios)]
-    return row | ({"errors": errors} if errors else {})
-
-
-def compare(case: Case, accelerator: str, steps: int, folder: Path) -> dict[str, Any]:
-    """Largest difference of weights after so many steps with graphs and without, and of two runs with graphs."""
-    experiment = experiment_of(case, folder)
-    states = [
-        fit(experiment, case.phase, accelerator, folder, steps, 1, graphs)[1].cpu().state_dict()
-        for graphs in (True, True, False)
-    ]
-    begun = new_phase(experiment, case.phase).state_dict()
-    first, again, eager = states
-    return {
-        "graphs_and_without": largest(first, eager),
-        "graphs_twice": largest(first, again),
-        "training_moved": largest(first, begun),
-    }
+def same_weights(options: Options, name: str) -> Iterator[Row]:
+    """Largest differences of weights: of runs with graphs and without, and of two runs with graphs."""
+    with TemporaryDirectory() as folder:
+        case = Steps(CASES[name], Path(folder), options.device, options.pick(200, 10))
+        first, again, eager = (
+            case.fitted(graphs, case.steps, epochs=1)[1].cpu().state_dict() for graphs in (True, True, False)
+        )
+        moved = largest(first, case.new_phase().state_dict())
+    told = f"training moved them by {moved:.2g}"
+    yield Row(f"{name}: weights with graphs, twice", [largest(first, again)], "apart", at_most(0.0), note=told)
+    yield Row(f"{name}: weights with graphs and without", [largest(first, eager)], "apart", note=told)
 
 
 def largest(one: Mapping[str, torch.Tensor], other: Mapping[str, torch.Tensor]) -> float:
     """Largest absolute difference of two sets of weights."""
     return max(float((one[key].double() - other[key].double()).abs().max()) for key in one)
-
-
-def main() -> None:
-    """Print a line for each case."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", default=["p2p_alignment", "p2p_adaptation"], help=", ".join(CASES))
-    parser.add_argument("--accelerator", default="auto")
-    parser.add_argument("--steps", type=int, default=400)
-    parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--compare", action="store_true")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
-    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    warnings.filterwarnings("ignore")
-    rows = {}
-    device = torch.cuda.get_device_name() if options.accelerator != "cpu" and torch.cuda.is_available() else "cpu"
-    for name in options.cases:
-        with TemporaryDirectory() as folder:
-            place = Path(folder)
-            if options.compare:
-                row = compare(CASES[name], options.accelerator, options.steps, place)
-            else:
-                row = measure(CASES[name], options.accelerator, options.steps, options.turns, place)
-        rows[name] = {"device": device, **row}
-        print(name, json.dumps(rows[name], default=str), flush=True)
-        if options.json:
-            options.json.write_text(json.dumps(rows, indent=1))
-
-
-if __name__ == "__main__":
-    main()
