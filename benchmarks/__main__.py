@@ -38,7 +38,10 @@ def main(words: Sequence[str]) -> int:
 def measured(names: Sequence[str], options: Options, about: dict[str, Any], file: Path | None) -> int:
     """Run benchmarks, show and write each row at once; 1 if a bar is missed or a benchmark did not come to its end."""
     names_of_gpus, slack = "".join(f"{gpu['name']}, " for gpu in about["gpus"]), SLACK if options.short else 1.0
-    print(f"{about['processor']}, {about['cores']} cores, {names_of_gpus}load {about['load']:.1f}, {about['commit']}", flush=True)
+    print(
+        f"{about['processor']}, {about['cores']} cores, {names_of_gpus}load {about['load']:.1f}, {about['commit']}",
+        flush=True,
+    )
     found: list[tuple[str, Row]] = []
     for name in names:
         for row in (row.eased(slack) for row in run(name, options)):

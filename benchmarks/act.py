@@ -1,22 +1,19 @@
 """The time from a robot's named arrays to its actions, and the share of it that is not the networks' own.
 
-Run from the repository: ``python benchmarks/act.py``. The policy is PLP at its defaults, 192 units, with
-random weights, in the UR5e of R2R-Lift; one thread, all ways in turn, so that a busy machine is busy for all. ONNX
-Runtime is timed where it and the extra ``export`` are installed.
+The policy is PLP at its defaults, 192 units, with random weights, in the UR5e of R2R-Lift; one thread.
 """
 
 from __future__ import annotations
 
-import argparse
-import tempfile
-import time
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
 
+from benchmarks.measuring import Options, Row, at_most, in_turn, ratio, timed
 from datamodules.problem import TransferProblem
 from datamodules.types import Observation
 from plp_lightning.envs import Lift
@@ -25,7 +22,7 @@ from plp_lightning.runs.export import export
 from plp_lightning.runs.robot_policy import RobotPolicy
 
 DOMAIN, TASK = "ur5e", "x2y2h2"
-Way = Callable[[], object]
+NETWORKS = "networks alone"
 
 
 def policy_of() -> PortablePolicy:
@@ -35,7 +32,7 @@ def policy_of() -> PortablePolicy:
     return PortablePolicy(TransferProblem(domains, Lift.tasks.names, "sawyer", DOMAIN), columns="shared").eval()
 
 
-def ways(policy: PortablePolicy, rows: int, folder: Path) -> Iterator[tuple[str, Way]]:
+def calls(policy: PortablePolicy, rows: int, folder: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     """Ways to the actions of so many rows, by name; the bare networks first."""
     spec, rng = policy.domains[DOMAIN], np.random.default_rng(0)
     named = {key.name: rng.normal(size=(rows, *key.shape)).astype(np.float32) for key in spec.state_keys}
@@ -52,7 +49,7 @@ def ways(policy: PortablePolicy, rows: int, folder: Path) -> Iterator[tuple[str,
     def forward() -> object:
         return policy.predict_actions(seen, task)
 
-    yield "networks alone", networks
+    yield NETWORKS, networks
     yield "predict_actions, tensors", forward
     yield "act, a vector", lambda: policy.act(Observation(state), DOMAIN, TASK)
     yield "act, arrays by name", lambda: policy.act(named, DOMAIN, TASK)
@@ -60,7 +57,7 @@ def ways(policy: PortablePolicy, rows: int, folder: Path) -> Iterator[tuple[str,
         yield "ONNX Runtime", _runtime(policy, named, folder)
 
 
-def _runtime(policy: PortablePolicy, named: dict[str, np.ndarray], folder: Path) -> Way:
+def _runtime(policy: PortablePolicy, named: dict[str, np.ndarray], folder: Path) -> Callable[[], object]:
     import onnxruntime
 
     path = folder / "policy.onnx"
@@ -72,31 +69,11 @@ def _runtime(policy: PortablePolicy, named: dict[str, np.ndarray], folder: Path)
     return lambda: session.run(["action"], named)
 
 
-def compare(found: dict[str, Way], rounds: int) -> None:
-    """Print the median time of each way, its tenth and nine tenths, and its ratio to the first."""
-    times: dict[str, list[float]] = {name: [] for name in found}
-    for turn in range(rounds + rounds // 10):
-        for name, way in found.items():
-            began = time.perf_counter()
-            way()
-            if turn >= rounds // 10:  # after some to get warm
-                times[name].append(time.perf_counter() - began)
-    first = np.median(next(iter(times.values())))
-    for name, taken in times.items():
-        low, middle, high = 1e3 * np.quantile(taken, [0.1, 0.5, 0.9])
-        print(f"  {name:26} {middle:7.3f} ms  ({low:.3f} to {high:.3f})  {1e-3 * middle / first:5.2f} ×")
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=1000)
-    options = parser.parse_args()
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder:
-        for rows in (1, 100):
-            print(f"{rows} observation{'s' * (rows > 1)}: median (1st to 9th decile), ratio to the networks alone")
-            compare(dict(ways(policy_of(), rows, Path(folder))), options.rounds)
-
-
-if __name__ == "__main__":
-    main()
+def rows(options: Options) -> Iterator[Row]:
+    with TemporaryDirectory() as folder:
+        for count in (1, 100):
+            ways = {name: timed(call) for name, call in calls(policy_of(), count, Path(folder))}
+            times = in_turn(ways, rounds := options.pick(1000, 100), warm=rounds // 10)
+            for name in [*ways][1:]:
+                bar = at_most(2.0) if name.startswith("act") else None
+                yield ratio(f"{count} observation{'s' * (count > 1)}: {name} / {NETWORKS}", times, name, NETWORKS, bar)

@@ -20,7 +20,9 @@ class Benchmark(NamedTuple):
 
     def rows(self, options: Options) -> Iterator[Row]:
         """Measure, a row after the other."""
-        found: Iterator[Row] = getattr(import_module(f"benchmarks.{self.module}"), self.function)(options, *self.arguments)
+        found: Iterator[Row] = getattr(import_module(f"benchmarks.{self.module}"), self.function)(
+            options, *self.arguments
+        )
         return found
 
 
@@ -28,15 +30,15 @@ CPU = {
     "trainer": Benchmark("phase_steps", "trainer", seconds=600, short=True),
     "written_out": Benchmark("phase_steps", "written_out"),
     "adaptation": Benchmark("cached_latents", short=True),
-    "robomimic": Benchmark("robomimic"),
+    "robomimic": Benchmark("robomimic_bc"),
     "loader": Benchmark("loading", short=True),
     "losses": Benchmark("losses", short=True),
     "act": Benchmark("act", short=True),
     "vision": Benchmark("vision"),
-    "point": Benchmark("maze_episodes", arguments=("point",), short=True),
-    "ant": Benchmark("maze_episodes", arguments=("ant",)),
-    "lift": Benchmark("lift_episodes", short=True),
-    "reach": Benchmark("reach_episodes"),
+    "point": Benchmark("simulators", "maze", ("point",), short=True),
+    "ant": Benchmark("simulators", "maze", ("ant",)),
+    "lift": Benchmark("simulators", "lift", short=True),
+    "reach": Benchmark("simulators", "reach"),
     "images": Benchmark("images", short=True),
     "mujoco_rollout": Benchmark("mujoco_rollout"),
     "contextual": Benchmark("contextual"),

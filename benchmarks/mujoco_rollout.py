@@ -1,20 +1,17 @@
-"""A test whether ``mujoco.rollout`` could step the mazes: its speed beside this project's engine, and what it changes.
+"""``mujoco.rollout`` in the place of this project's engine: its speed, and from which step on states differ.
 
-Run from the repository: ``python benchmarks/mujoco_rollout.py [--episodes 100] [--steps 200]``. Both are called once
-for each control step, on as many threads, and take turns, so that a busy machine slows both alike.
+Both are called once for each control step, on as many threads, and take turns.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
 
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
+from benchmarks.measuring import Options, Row, in_turn, ratio, timed
 from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.maze.base import Maze
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
@@ -24,6 +21,8 @@ BODIES: dict[str, Callable[[], Maze]] = {
     "ant": lambda: WalkerMaze("medium"),
     "spider": lambda: WalkerMaze("medium", legs=6),
 }
+EPISODES = 100
+THEIRS, OURS = "mujoco.rollout", "ours"
 
 
 class Native:
@@ -61,42 +60,20 @@ class Native:
         self.warmstart[:] = 0.0  # what rollout begins with if it is not told
 
 
-def measure(name: str, episodes: int, steps: int) -> str:
-    """A line of the table for one body."""
-    maze, rows = BODIES[name](), np.arange(episodes)
-    maze.reset([maze.tasks.names[i % 100 % len(maze.tasks.names)] for i in rows], rows.tolist())
-    engine = maze._physics
-    physical = slice(0, engine.qvel.stop)  # time, positions and velocities
-    warm = engine.columns(mujoco.mjtState.mjSTATE_WARMSTART)
-    native = Native(engine.model, engine.states[:, physical], engine.states[:, warm], maze.frame_skip)
-    rng, seconds, apart = np.random.default_rng(0), np.zeros((2, 2)), np.zeros(steps)
-    for t in range(steps):
-        controls = rng.uniform(-1, 1, (episodes, engine.model.nu))
-        ways = partial(engine.hold, rows, controls, maze.frame_skip), partial(native.step, controls)
-        times = [(time.perf_counter(), time.process_time())]
-        for way in ways:
-            way()
-            times.append((time.perf_counter(), time.process_time()))
-        if t > 0:  # the first step compiles
-            seconds += np.diff(times, axis=0)
-        apart[t] = np.abs(engine.states[:, physical] - native.states).max()
-    first = int(np.argmax(apart > 0)) + 1 if apart.any() else None
-    wall, processor = seconds[1] / seconds[0]
-    return (
-        f"{name:7} mujoco.rollout takes {wall:.2f}x as long ({processor:.2f}x processor time); "
-        f"states differ from step {first} on, by {apart[-1]:.1e} after {steps}"
-    )
-
-
-def main() -> None:
-    """Measure all bodies and print ratios."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--steps", type=int, default=200)
-    options = parser.parse_args()
-    for name in BODIES:
-        print(measure(name, options.episodes, options.steps), flush=True)
-
-
-if __name__ == "__main__":
-    main()
+def rows(options: Options) -> Iterator[Row]:
+    for name, build in BODIES.items():
+        maze, every = build(), np.arange(EPISODES)
+        maze.reset([maze.tasks.names[i % len(maze.tasks.names)] for i in every], every.tolist())
+        engine = maze._physics
+        physical = slice(0, engine.qvel.stop)  # time, positions and velocities
+        warm = engine.columns(mujoco.mjtState.mjSTATE_WARMSTART)
+        native = Native(engine.model, engine.states[:, physical], engine.states[:, warm], maze.frame_skip)
+        controls = np.random.default_rng(0).uniform(-1, 1, (EPISODES, engine.model.nu))
+        ways = {
+            THEIRS: timed(lambda native=native, c=controls: native.step(c)),  # type: ignore[misc]
+            OURS: timed(lambda maze=maze, c=controls: maze._physics.hold(every, c, maze.frame_skip)),  # type: ignore[misc]
+        }
+        times = in_turn(ways, options.pick(200, 20), warm=2)
+        apart = np.abs(engine.states[:, physical] - native.states).max()
+        told = f"states are apart by {apart:.1e} at the end"
+        yield ratio(f"{EPISODES} episodes, {name}: {THEIRS} / {OURS}", times, THEIRS, OURS, note=told)

@@ -117,15 +117,16 @@ class Steps:
 
 
 def experiment_of(case: Case, folder: Path) -> Experiment:
-    """The experiment of a case, with random demonstrations."""
+    """The experiment of a case, with random demonstrations, which are written unless they are there."""
     words = [word for file in case.files for word in ("--config", str(CONFIGS / file))]
     file, rng = folder / "random.hdf5", np.random.default_rng(0)
     graphs = () if "--cuda_graphs" in case.options else ("--cuda_graphs", "true")
     experiment = parse([*words, *case.options, *graphs, "--data.file", str(file)])
     experiment.data.collector, experiment.data.missing = None, dict  # type: ignore[method-assign]
-    tasks, numbers = experiment.data.tasks, range(case.per_task)
-    made = [random_trajectory(s, t, case.length, i, rng) for s in experiment.specs for t in tasks for i in numbers]
-    write_trajectories(file, experiment.specs, tasks, made, {})
+    if not file.exists():
+        tasks, numbers = experiment.data.tasks, range(case.per_task)
+        made = [random_trajectory(s, k, case.length, i, rng) for s in experiment.specs for k in tasks for i in numbers]
+        write_trajectories(file, experiment.specs, tasks, made, {})
     return experiment
 
 

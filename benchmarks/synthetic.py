@@ -25,7 +25,7 @@ def random_data(
     length: int = 40,
     batching: Batching | None = None,
 ) -> TransferDataModule:
-    """Demonstrations with states of R2R's sizes, enough for ``steps`` steps in an epoch; the last task is the target."""
+    """Demonstrations with states of R2R's sizes, for ``steps`` steps in an epoch; the last task is the target."""
     names = tuple(f"task_{i}" for i in range(tasks))
     specs = [DomainSpec(f"d{i}", (ObservationKey("state", (SIZES[i % 2],)),), ACTION, 20.0) for i in range(domains)]
     per_task = max(2, -(-steps * batch_size // (domains * length * (tasks - 1))))

@@ -21,6 +21,8 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.steps.loop import step_quickly
 
+PROCESSOR = torch.device("cpu")
+
 
 class Clock(Callback):
     """Seconds that the last epoch has taken, its first step left out."""
@@ -85,7 +87,7 @@ def bare_loop(
     parameters: Iterator[torch.nn.Parameter],
     batches: Callable[[], Iterator[Batch]],
     steps: int,
-    device: torch.device = torch.device("cpu"),
+    device: torch.device = PROCESSOR,
 ) -> float:
     """Seconds a step of a plain loop's second pass: gather, losses, backward, AdamW."""
     optimizer, now, took = torch.optim.AdamW(parameters, lr=1e-4, weight_decay=0.0, fused=True), clock(device), 0.0

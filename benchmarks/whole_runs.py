@@ -1,0 +1,84 @@
+"""Whole runs of P2P-medium: one alone, and what 27 of them, three goals by nine seeds, take on one GPU and all cores.
+
+Their demonstrations are collected first, on the processor, and count for nothing.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.measuring import Options, Row, at_most
+from plp_lightning.envs.base import available_cores
+
+ROOT = Path(__file__).parents[1]
+GOALS, SEEDS = ("goal_1_6", "goal_6_1", "goal_6_6"), 9
+EPOCHS = {"alignment": 20, "adaptation": 50}  # as configs/p2p_medium.yaml has them
+SHARES = (20, 10)
+"""Runs side by side train one of so many of their epochs; two shares tell what an epoch takes and what the rest does."""
+LITTLE = ("--data.trajectories", "107", "--data.target_trajectories", "10", "--evaluation.final_episodes", "4")
+
+
+class Runs:
+    """Processes of ``plp fit`` on P2P-medium, in a folder of their own."""
+
+    def __init__(self, folder: str, options: Options) -> None:
+        accelerator = "gpu" if options.device == "cuda" else "cpu"
+        little = LITTLE if options.short or options.device == "cpu" else ()
+        self.folder, self.options = folder, ["--data.root", folder, "--config", "configs/p2p_medium.yaml", *little]
+        self.fit = ["--cuda_graphs", "true", "--trainer.accelerator", accelerator]
+
+    def collect(self) -> None:
+        """Collect the demonstrations of all goals, which are proxies of one another."""
+        for goal in GOALS:
+            self._wait([self._start("collect", "--data.target_task", goal)])
+
+    def side_by_side(self, count: int, words: Sequence[str] = ()) -> float:
+        """Seconds that so many runs take together."""
+        began, chosen = time.perf_counter(), [(goal, seed) for seed in range(SEEDS) for goal in GOALS][:count]
+        place = ["--run_root", f"{self.folder}/{began}"]
+        named = [["--data.target_task", goal, "--seed", str(seed)] for goal, seed in chosen]
+        self._wait([self._start("fit", *self.fit, *place, *name, *words) for name in named])
+        return time.perf_counter() - began
+
+    def _start(self, verb: str, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "plp_lightning", verb, *self.options, *words]
+        return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+
+    def _wait(self, processes: Sequence[subprocess.Popen[bytes]]) -> None:
+        codes = [process.wait() for process in processes]
+        if any(codes):
+            raise RuntimeError(f"plp left with {codes}; its complaint is above")
+
+
+def whole(options: Options) -> Iterator[Row]:
+    """Seconds of one run, from the command to its table."""
+    with TemporaryDirectory() as folder:
+        runs = Runs(folder, options)
+        runs.collect()
+        words = epochs(max(SHARES)) if options.device == "cpu" else ()
+        told = "a tenth of the epochs, few demonstrations: not on a GPU" if words else ""
+        yield Row("p2p_medium, a whole run", [runs.side_by_side(1, words)], "s", at_most(60.0), note=told)
+
+
+def many(options: Options) -> Iterator[Row]:
+    """Seconds of 27 runs, a core each, from two short trainings of as many as there are cores."""
+    count = min(available_cores(), len(GOALS) * SEEDS)
+    with TemporaryDirectory() as folder:
+        runs = Runs(folder, options)
+        runs.collect()
+        few, more = (runs.side_by_side(count, epochs(share)) for share in SHARES)
+    rounds, training = len(GOALS) * SEEDS / count, (more - few) / (1 / SHARES[1] - 1 / SHARES[0])
+    rest = few - training / SHARES[0]
+    told = f"{count} side by side: training {training:.0f} s, the rest {rest:.0f} s; worked out from a share of the epochs"
+    yield Row("p2p_medium, 27 runs side by side", [rounds * (training + rest)], "s", at_most(600.0), note=told)
+
+
+def epochs(share: int) -> list[str]:
+    """Words for one of so many of the epochs of each phase."""
+    counts = {phase: max(1, round(count / share)) for phase, count in EPOCHS.items()}
+    return [word for phase, count in counts.items() for word in (f"--{phase}.epochs", str(count))]
