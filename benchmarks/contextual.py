@@ -32,8 +32,8 @@ def policy_of(maze: PointMaze) -> ContextualPolicy:
     count, rng = len(maze.tasks.names), np.random.default_rng(0)
     state = rng.normal(size=(count * DEMONSTRATION, domains[0].state_size)).astype(np.float32)
     action = rng.uniform(-1, 1, (len(state), domains[0].action_size)).astype(np.float32)
-    offset, unknown = np.arange(count + 1) * DEMONSTRATION, np.full(count, -1)
-    dataset = build_dataset(domains[0], state, {}, action, offset, *[np.arange(count)] * 2, unknown)
+    offset, tasks, unknown = np.arange(count + 1) * DEMONSTRATION, np.arange(count), np.full(count, -1)
+    dataset = build_dataset(domains[0], state, {}, action, offset, tasks, tasks, unknown)
     policy.prompts.choose(dataset, {task: task for task in range(count)})
     return policy.eval()
 

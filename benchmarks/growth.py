@@ -24,6 +24,7 @@ from plp_lightning.methods.plp.terms import MMD, TCC, TermFactory
 CLONING: dict[str, TermFactory] = {}
 PAIRWISE: dict[str, TermFactory] = {"mmd": MMD}
 LINEAR = at_most(1.0)
+STEPS = 30
 
 
 def step(data: TransferDataModule, folder: Path, terms: Mapping[str, TermFactory], steps: int) -> Way:
@@ -38,15 +39,15 @@ def grown(
     terms: Mapping[str, TermFactory],
     bar: Bar | None,
     options: Options,
-    steps: int = 30,
 ) -> Iterator[Row]:
-    """Rows of neighbouring sizes, whose steps are taken in turn."""
+    """Rows of neighbouring sizes, whose steps are taken in turn; matrices of pairs have to do with few."""
+    steps = STEPS if bar else STEPS // 3
     with TemporaryDirectory() as place:
         folders = {size: Path(place) / str(size) for size in sizes}
         for folder in folders.values():
             folder.mkdir()
         ways = {str(size): step(data(folder, size), folder, terms, steps) for size, folder in folders.items()}
-        times = in_turn(ways, options.pick(5, 1))
+        times = in_turn(ways, options.pick(5 if bar else 2, 1))
     for small, large in pairwise(sizes):
         values = [b / a * small / large for a, b in zip(times[str(small)], times[str(large)], strict=True)]
         seconds = {str(size): median(times[str(size)]) for size in (large, small)}
@@ -56,19 +57,19 @@ def grown(
 def batch(options: Options) -> Iterator[Row]:
     sizes = [64, 256, 1024, 4096]
     for told, terms, bar in (("cloning", CLONING, LINEAR), ("with MMD", PAIRWISE, None)):
-        made = lambda folder, size: random_data(folder, size, steps=30, tasks=9)  # noqa: E731
+        made = lambda folder, size: random_data(folder, size, steps=STEPS, tasks=9)  # noqa: E731
         yield from grown(f"batch, {told},", sizes, made, terms, bar, options)
 
 
 def domains(options: Options) -> Iterator[Row]:
     """Batches grow with the domains: 128 steps of each."""
     for told, terms, bar in (("cloning", CLONING, LINEAR), ("with MMD", PAIRWISE, None)):
-        made = lambda folder, count: random_data(folder, 128 * count, steps=30, domains=count, tasks=9)  # noqa: E731
+        made = lambda folder, count: random_data(folder, 128 * count, steps=STEPS, domains=count, tasks=9)  # noqa: E731
         yield from grown(f"domains, {told},", [2, 4, 8], made, terms, bar, options)
 
 
 def tasks(options: Options) -> Iterator[Row]:
-    made = lambda folder, count: random_data(folder, 256, steps=30, tasks=count, length=20)  # noqa: E731
+    made = lambda folder, count: random_data(folder, 256, steps=STEPS, tasks=count, length=20)  # noqa: E731
     yield from grown("tasks, with MMD,", [16, 128, 1024], made, PAIRWISE, LINEAR, options)
 
 
@@ -76,7 +77,7 @@ def length(options: Options) -> Iterator[Row]:
     """Frames of TCC's pairs grow with the trajectories."""
 
     def made(folder: Path, steps: int) -> TransferDataModule:
-        chosen = Batching(batch_size=256, tasks_per_batch=None, epoch_steps=30, pairs=32, stride=16)
-        return random_data(folder, 256, steps=30, tasks=9, length=steps, batching=chosen)
+        chosen = Batching(batch_size=256, tasks_per_batch=None, epoch_steps=STEPS, pairs=32, stride=16)
+        return random_data(folder, 256, steps=STEPS, tasks=9, length=steps, batching=chosen)
 
     yield from grown("length, with TCC,", [50, 200, 800], made, {"tcc": TCC}, LINEAR, options)

@@ -63,7 +63,7 @@ def at_least(limit: float) -> Bar:
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: a median, the least and the greatest of all rounds, and what it was made of.
+    """One figure: a median, its first and ninth decile over all rounds, and what it was made of.
 
     Args:
         name: What is compared with what.
@@ -87,6 +87,14 @@ class Row:
     def value(self) -> float:
         return statistics.median(self.values)
 
+    @property
+    def spread(self) -> tuple[float, float]:
+        """First and ninth decile."""
+        if len(self.values) == 1:
+            return self.values[0], self.values[0]
+        low, *_, high = statistics.quantiles(self.values, n=10, method="inclusive")
+        return low, high
+
     def eased(self, slack: float) -> Row:
         """The same with an easier bar."""
         return replace(self, bar=self.bar and self.bar.eased(slack))
@@ -100,14 +108,15 @@ class Row:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, for JSON."""
-        found = {"median": self.value, "least": min(self.values), "greatest": max(self.values)} if self.values else {}
+        found = {"median": self.value, "deciles": self.spread} if self.values else {}
         return asdict(self) | {"bar": None if self.bar is None else str(self.bar), **found, "verdict": self.verdict}
 
     def line(self) -> str:
         """The row of a table."""
         if not self.values:
             return f"{self.name:52} {self.verdict}: {self.note}"
-        spread = f"{shown(self.value)} {self.unit} ({shown(min(self.values))} to {shown(max(self.values))})"
+        low, high = map(shown, self.spread)
+        spread = f"{shown(self.value)} {self.unit} ({low} to {high})"
         bar = "" if self.bar is None else f"{self.bar} {self.verdict}"
         made = ", ".join(f"{name} {duration(seconds)}" for name, seconds in self.seconds.items())
         return f"{self.name:52} {spread:34} {bar:18} {made}{' · ' * bool(made and self.note)}{self.note}".rstrip()

@@ -14,7 +14,6 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.measuring import Options, Row, at_most
 from benchmarks.phase_steps import Case, Steps, experiment_of
-from benchmarks.running import quieten
 
 ONDISK = ("--data.image_memory", "0.01")  # GiB, so that images stay in the file
 CASE = Case(("v2v_reach.yaml",), "alignment", ONDISK, length=40)
@@ -34,7 +33,6 @@ def written(case: Case, folder: Path) -> float:
 
 def fitted(case: Case, folder: Path, steps: int) -> float:
     """MB that some steps of a fit take."""
-    quieten()
     steps_of = Steps(case, folder, "cpu", steps)
     before = most()
     steps_of.fitted(False, steps, epochs=1)
@@ -42,12 +40,12 @@ def fitted(case: Case, folder: Path, steps: int) -> float:
 
 
 def rows(options: Options) -> Iterator[Row]:
-    found, context = list[tuple[float, float]](), multiprocessing.get_context("spawn")
+    found, context = list[tuple[float, float]](), multiprocessing.get_context("fork")
     with TemporaryDirectory() as place, context.Pool(1, maxtasksperchild=1) as pool:
-        for count in (8, 32, 128):
+        for count in (8, 64):
             of = CASE._replace(per_task=count), Path(place) / str(count)
-            found.append((pool.apply(written, of), pool.apply(fitted, (*of, options.pick(40, 10)))))
-    (small, least), *_, (large, greatest) = found
+            found.append((pool.apply(written, of), pool.apply(fitted, (*of, options.pick(20, 5)))))
+    (small, least), (large, greatest) = found
     told = ", ".join(f"{memory:.0f} MB for a file of {size:.0f} MB" for size, memory in found)
     growth = [(greatest - least) / (large - small)]
     yield Row("fit from disk: MB of memory for each MB of file", growth, "", at_most(0.1), note=told)

@@ -6,6 +6,7 @@ Both are called once for each control step, on as many threads, and take turns.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -70,8 +71,8 @@ def rows(options: Options) -> Iterator[Row]:
         native = Native(engine.model, engine.states[:, physical], engine.states[:, warm], maze.frame_skip)
         controls = np.random.default_rng(0).uniform(-1, 1, (EPISODES, engine.model.nu))
         ways = {
-            THEIRS: timed(lambda native=native, c=controls: native.step(c)),  # type: ignore[misc]
-            OURS: timed(lambda maze=maze, c=controls: maze._physics.hold(every, c, maze.frame_skip)),  # type: ignore[misc]
+            THEIRS: timed(partial(native.step, controls)),
+            OURS: timed(partial(engine.hold, every, controls, maze.frame_skip)),
         }
         times = in_turn(ways, options.pick(200, 20), warm=2)
         apart = np.abs(engine.states[:, physical] - native.states).max()

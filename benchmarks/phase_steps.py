@@ -108,7 +108,8 @@ class Steps:
         """Seconds of a step's graph alone."""
         _, phase = self.fitted(True, 2, epochs=1)
         graphs, loader = phase.trainer.fit_loop.epoch_loop.automatic_optimization.graphs, phase.trainer.train_dataloader
-        assert isinstance(loader, FixedLoader) and graphs is not None
+        assert isinstance(loader, FixedLoader)
+        assert graphs is not None
         graph, now = next(iter(graphs.steps.values())).graph, clock(phase.trainer.strategy.root_device)
         began = now()
         for _ in range(self.steps):
@@ -135,9 +136,9 @@ def trainer(options: Options) -> Iterator[Row]:
     names = ["p2p_alignment", "p2p_adaptation", "p2a_plp_t_alignment", "r2r_alignment"]
     for name in names[: options.pick(len(names), 1)]:
         with TemporaryDirectory() as folder:
-            case = Steps(CASES[name], Path(folder), options.device, options.pick(300, 100))
-            ways = {UNDER: lambda case=case: case.trainer(False), BARE: case.bare}
-            times = in_turn(ways, options.pick(9, 3))
+            case = Steps(CASES[name], Path(folder), options.device, options.pick(300, 60))
+            ways = {UNDER: partial(case.trainer, False), BARE: case.bare}
+            times = in_turn(ways, options.pick(9, 2))
         yield ratio(f"{name}: {UNDER} / {BARE}", times, UNDER, BARE, at_most(1.05))
 
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import IO, cast
 
 import h5py
 import numpy as np
@@ -94,9 +95,9 @@ class Robomimic:
 
     def __init__(self, python: str, file: Path, steps: int) -> None:
         words = [python, str(WORKER), str(file), *map(str, (steps, BATCH, UNITS, LAYERS))]
-        self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=ALONE)
-        assert self.process.stdin is not None and self.process.stdout is not None
-        self.asked, self.answers = self.process.stdin, self.process.stdout
+        pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+        self.process = subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=nowhere, text=True, env=ALONE)
+        self.asked, self.answers = cast("IO[str]", self.process.stdin), cast("IO[str]", self.process.stdout)
         if self.answers.readline().strip() != "ready":
             raise UserError(f"{python}: does not run {WORKER}; expected a Python that has robomimic, torch and h5py")
 

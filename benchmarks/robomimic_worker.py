@@ -31,7 +31,7 @@ from torch import nn  # noqa: E402
 
 
 def new_model(file: str, units: int, layers: int) -> Any:
-    """robomimic's BC with so many hidden layers, of GELU units as ours."""
+    """Robomimic's BC with so many hidden layers, of GELU units as ours."""
     config = config_factory("bc")
     with config.values_unlocked():
         config.observation.modalities.obs.low_dim = ["state"]

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import logging
 import multiprocessing
+import os
+import signal
 import time
 import traceback
 import warnings
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 
 from benchmarks.catalogue import BENCHMARKS, Benchmark
 from benchmarks.measuring import Options, Row
 
 HEAVY = ["plp_lightning.cli.config"]
 """Imported once; each benchmark's process is a fork of that one, in which nobody has touched a simulator or a GPU."""
-SHORT_SECONDS = 60
+SHORT_SECONDS = 120
 
 
 def run(name: str, options: Options) -> Iterator[Row]:
@@ -30,8 +34,7 @@ def run(name: str, options: Options) -> Iterator[Row]:
     try:
         yield from _received(name, ours, SHORT_SECONDS if options.short else benchmark.seconds)
     finally:
-        process.kill()
-        process.join()
+        _end(process)
 
 
 def _received(name: str, rows: Connection, seconds: float) -> Iterator[Row]:
@@ -48,8 +51,17 @@ def _received(name: str, rows: Connection, seconds: float) -> Iterator[Row]:
         yield Row(name, note="its process has died; its last words are above", failed=True)
 
 
+def _end(process: BaseProcess) -> None:
+    """Kill a benchmark, and all processes that it has started."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid or 0, signal.SIGKILL)
+    process.kill()
+    process.join()
+
+
 def _measure(benchmark: Benchmark, options: Options, rows: Connection) -> None:
     """Send rows, and at the end nothing or what went wrong; a process that crashes tells where."""
+    os.setpgrp()  # a group of its own, with all that it starts
     faulthandler.enable()
     quieten()
     try:
