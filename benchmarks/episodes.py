@@ -89,8 +89,13 @@ def compared(
     yield ratio(f"{title}: {STEPPING} / {BARE}", times, STEPPING, BARE, at_most(1.5))
 
 
-def hold(engine: Engine[Any], data: mujoco.MjData, substeps: int) -> None:
-    """One control step of every state, with the controls that it holds, by MuJoCo's Python bindings alone."""
+def hold(engine: Engine[Any], data: mujoco.MjData, substeps: int, forward: bool = False) -> None:
+    """One control step of every state, with the controls that it holds, by MuJoCo's Python bindings alone.
+
+    With ``forward`` forces are computed first, as environments do that set a state.
+    """
     for state in engine.states:
         mujoco.mj_setState(engine.model, data, state, STATE)
+        if forward:
+            mujoco.mj_forward(engine.model, data)
         mujoco.mj_step(engine.model, data, nstep=substeps)

@@ -43,7 +43,7 @@ def maze(options: Options, body: str) -> Iterator[Row]:
     simulator, env = bodies[body](), maze_env(body == "ant")
     ours, physics = Together(simulator), simulator._physics
     data = mujoco.MjData(physics.model)
-    bare = partial(hold, physics, data, simulator.frame_skip)
+    bare = partial(hold, physics, data, simulator.frame_skip, forward=body == "point")  # whose speed it limits
     yield from compared(body, ours, bare, env.step, options, 200)
 
 

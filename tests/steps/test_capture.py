@@ -1,6 +1,6 @@
 """Steps as graphs, on a stand-in that takes a recorded step anew: weights, counts and curves stay as they are.
 
-What only a GPU can show, ``benchmarks/phase_steps.py --compare`` shows there.
+What only a GPU can show, ``script/bench gpu_weights --device cuda`` shows there.
 """
 
 from __future__ import annotations
