@@ -30,6 +30,10 @@ class Options:
     device: str = "cpu"
     robomimic: str | None = None
 
+    def on_gpu(self, limit: float) -> Bar | None:
+        """The bar, the greatest that is good, of what is held to it on a GPU alone."""
+        return Bar(limit) if self.device == "cuda" else None
+
     def pick(self, full: int, short: int) -> int:
         """A number of rounds or steps: of the full form or of the short one."""
         return short if self.short else full

@@ -173,7 +173,7 @@ def on_device(options: Options, name: str, milliseconds: float) -> Iterator[Row]
         case = Steps(CASES[name], Path(folder), options.device, options.pick(400, 20))
         own = in_turn({GRAPHS: lambda: case.trainer(gpu)}, options.pick(3, 1), warm=0)[GRAPHS]
         told = "" if gpu else "without graphs: not on a GPU"
-        yield Row(f"{name}: a step of plp fit", [1e3 * s for s in own], "ms", at_most(milliseconds), note=told)
+        yield Row(f"{name}: a step of plp fit", [1e3 * s for s in own], "ms", options.on_gpu(milliseconds), note=told)
         times = in_turn({UNDER: lambda: case.trainer(False), BARE: case.bare}, options.pick(2, 1), warm=0)
         yield ratio(f"{name}: {UNDER}, no graphs / {BARE}", times, UNDER, BARE)
         if gpu:
