@@ -61,6 +61,11 @@ class Native:
         self.warmstart[:] = 0.0  # what rollout begins with if it is not told
 
 
+def draw(controls: np.ndarray, rng: np.random.Generator) -> None:
+    """Fill controls ``(E, U)`` with new ones."""
+    controls[:] = rng.uniform(-1, 1, controls.shape)
+
+
 def rows(options: Options) -> Iterator[Row]:
     for name, build in BODIES.items():
         maze, every = build(), np.arange(EPISODES)
@@ -71,7 +76,7 @@ def rows(options: Options) -> Iterator[Row]:
         native = Native(engine.model, engine.states[:, physical], engine.states[:, warm], maze.frame_skip)
         controls, rng = np.zeros((EPISODES, engine.model.nu)), np.random.default_rng(0)
         ways = {
-            "draws": timed(lambda c=controls: np.copyto(c, rng.uniform(-1, 1, c.shape))),  # type: ignore[misc]
+            "draws": timed(partial(draw, controls, rng)),
             THEIRS: timed(partial(native.step, controls)),
             OURS: timed(partial(engine.hold, every, controls, maze.frame_skip)),
         }

@@ -21,6 +21,7 @@ from benchmarks.measuring import Options, Row
 HEAVY = ["plp_lightning.cli.config"]
 """Imported once; each benchmark's process is a fork of that one, in which nobody has touched a simulator or a GPU."""
 SHORT_SECONDS = 120
+GRACE = 2.0  # s
 
 
 def run(name: str, options: Options) -> Iterator[Row]:
@@ -52,7 +53,8 @@ def _received(name: str, rows: Connection, seconds: float) -> Iterator[Row]:
 
 
 def _end(process: BaseProcess) -> None:
-    """Kill a benchmark, and all processes that it has started."""
+    """Let a benchmark come to its end, or else kill it, and all processes that it has started."""
+    process.join(GRACE)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid or 0, signal.SIGKILL)
     process.kill()
