@@ -25,9 +25,11 @@ class Benchmark(NamedTuple):
 
 
 CPU = {
-    "trainer": Benchmark("benchmarks.phase_steps", "trainer", seconds=600, short=True),
-    "written_out": Benchmark("benchmarks.phase_steps", "written_out"),
-    "adaptation": Benchmark("benchmarks.cached_latents", short=True),
+    "p2p_alignment": Benchmark("benchmarks.phase_steps", "trainer", ("p2p_alignment",), short=True),
+    "p2p_adaptation": Benchmark("benchmarks.phase_steps", "trainer", ("p2p_adaptation",)),
+    "p2a_plp_t": Benchmark("benchmarks.phase_steps", "trainer", ("p2a_plp_t_alignment",)),
+    "r2r": Benchmark("benchmarks.phase_steps", "trainer", ("r2r_alignment",)),
+    "cached_latents": Benchmark("benchmarks.cached_latents", short=True),
     "robomimic": Benchmark("benchmarks.robomimic_bc"),
     "loader": Benchmark("benchmarks.loading", short=True),
     "losses": Benchmark("benchmarks.losses", short=True),

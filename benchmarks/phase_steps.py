@@ -29,7 +29,8 @@ from plp_lightning.methods.plp.policy import PortablePolicy
 from plp_lightning.runs.experiment import Experiment
 
 CONFIGS = Path(__file__).parents[1] / "configs"
-UNDER, BARE, GRAPHS, GRAPH = "under the Trainer", "bare loop", "as graphs", "graph alone"
+UNDER, BARE, WRITTEN = "under the Trainer", "bare loop", "loop without a phase"
+GRAPHS, GRAPH = "as graphs", "graph alone"
 
 
 class Case(NamedTuple):
@@ -131,24 +132,16 @@ def experiment_of(case: Case, folder: Path) -> Experiment:
     return experiment
 
 
-def trainer(options: Options) -> Iterator[Row]:
-    """Steps under the Trainer against bare loops of the same phases."""
-    names = ["p2p_alignment", "p2p_adaptation", "p2a_plp_t_alignment", "r2r_alignment"]
-    for name in names[: options.pick(len(names), 1)]:
-        with TemporaryDirectory() as folder:
-            case = Steps(CASES[name], Path(folder), options.device, options.pick(300, 60))
-            ways = {UNDER: partial(case.trainer, False), BARE: case.bare}
-            times = in_turn(ways, options.pick(9, 2))
-        yield ratio(f"{name}: {UNDER} / {BARE}", times, UNDER, BARE, at_most(1.05))
-
-
-def written_out(options: Options) -> Iterator[Row]:
-    """Steps of P2P-medium's alignment under the Trainer against the same model and losses in a loop of ten lines."""
+def trainer(options: Options, name: str) -> Iterator[Row]:
+    """A case's steps under the Trainer against bare loops: of the phase, and of the same model without a phase."""
     with TemporaryDirectory() as folder:
-        case = Steps(CASES["p2p_alignment"], Path(folder), options.device, options.pick(300, 100))
-        ways = {UNDER: lambda: case.trainer(False), BARE: lambda: written_loop(case)}
-        times = in_turn(ways, options.pick(9, 3))
-    yield ratio(f"p2p_alignment: {UNDER} / loop without this project", times, UNDER, BARE, at_most(1.05))
+        case = Steps(CASES[name], Path(folder), options.device, options.pick(200, 60))
+        ways = {UNDER: partial(case.trainer, False), BARE: case.bare}
+        if name == "p2p_alignment":
+            ways[WRITTEN] = partial(written_loop, case)
+        times = in_turn(ways, options.pick(5, 2))
+    for other in [*ways][1:]:
+        yield ratio(f"{name}: {UNDER} / {other}", times, UNDER, other, at_most(1.05))
 
 
 def written_loop(case: Steps) -> float:
