@@ -15,7 +15,7 @@ class Benchmark(NamedTuple):
     module: str
     function: str = "rows"
     arguments: tuple[Any, ...] = ()
-    seconds: int = 300  # after which it is stopped; or sooner in the short form
+    seconds: int = 600  # after which it is stopped; or sooner in the short form
     short: bool = False  # part of the short form
 
     def rows(self, options: Options) -> Iterator[Row]:

@@ -135,11 +135,11 @@ def experiment_of(case: Case, folder: Path) -> Experiment:
 def trainer(options: Options, name: str) -> Iterator[Row]:
     """A case's steps under the Trainer against bare loops: of the phase, and of the same model without a phase."""
     with TemporaryDirectory() as folder:
-        case = Steps(CASES[name], Path(folder), options.device, options.pick(200, 60))
+        case = Steps(CASES[name], Path(folder), options.device, options.pick(150, 60))
         ways = {UNDER: partial(case.trainer, False), BARE: case.bare}
         if name == "p2p_alignment":
             ways[WRITTEN] = partial(written_loop, case)
-        times = in_turn(ways, options.pick(5, 2))
+        times = in_turn(ways, options.pick(4, 2))
     for other in [*ways][1:]:
         yield ratio(f"{name}: {UNDER} / {other}", times, UNDER, other, at_most(1.05))
 
