@@ -163,7 +163,7 @@ def on_device(options: Options, name: str, milliseconds: float) -> Iterator[Row]
     """Milliseconds of a case's step, as ``plp fit`` takes it; on a GPU as graphs, and beside what is not."""
     gpu = options.device == "cuda"
     with TemporaryDirectory() as folder:
-        case = Steps(CASES[name], Path(folder), options.device, options.pick(400, 20))
+        case = Steps(CASES[name], Path(folder), options.device, options.pick(200, 20))
         own = in_turn({GRAPHS: lambda: case.trainer(gpu)}, options.pick(3, 1), warm=0)[GRAPHS]
         told = "" if gpu else "without graphs: not on a GPU"
         yield Row(f"{name}: a step of plp fit", [1e3 * s for s in own], "ms", options.on_gpu(milliseconds), note=told)
