@@ -15,7 +15,7 @@ import numpy as np  # noqa: E402
 
 from benchmarks.episodes import Together, compared, hold  # noqa: E402
 from benchmarks.measuring import Options, Row  # noqa: E402
-from plp_lightning.envs.lift.model import robosuite_env  # noqa: E402
+from plp_lightning.envs.lift.building import robosuite_env  # noqa: E402
 from plp_lightning.envs.lift.osc import SUBSTEPS as LIFT_SUBSTEPS  # noqa: E402
 from plp_lightning.envs.lift.simulator import Lift  # noqa: E402
 from plp_lightning.envs.lift.tasks import Robot  # noqa: E402
