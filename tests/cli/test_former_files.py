@@ -159,7 +159,7 @@ def test_a_page_in_old_keys_is_the_page_in_new_ones(tmp_path: Path, capsys: pyte
     terms = {name: term and settings(term) for name, term in alignment["terms"].items()}
     assert terms == {
         "mmd": None,
-        "tcc": {"weight": 0.2, "similarity": "scaled"},
+        "tcc": {"weight": 0.2, "similarity": "scaled", "reduction": "mean"},
         "adversarial": {"weight": 0.3, "penalty_weight": 0.7, "layers": 2, "hidden": 24},
         "reconstruction": {"weight": 10.0, "downsampling": 1, "channels": None},
     }
