@@ -23,9 +23,11 @@ from plp_lightning.networks import ImageEncoderFactory
 
 ALLOWED_IMPORTS = [
     *("plp_lightning", "datamodules", "torchmetrics", "torch.optim"),
-    *("lightning.pytorch.callbacks", "lightning.pytorch.loggers", "gymnasium", "gymnasium_robotics"),
+    *("lightning.pytorch.callbacks", "lightning.pytorch.loggers"),
 ]
 """Packages that a configuration may import from; a file that names another is refused before the import happens."""
+WORLDS = ("gymnasium", "gymnasium_robotics")
+"""Packages whose environments a configuration may name; the core of this project goes without them."""
 ROOTS = (
     *(Policy, Phase, AlignmentTerm, ImageEncoderFactory, Simulator, Expert, AlignmentScore, BehaviourMetric),
     *(Callback, Logger, Optimizer, LRScheduler),
@@ -63,7 +65,7 @@ def check_imports(simulators: Mapping[str, Simulator], allowed: Sequence[str]) -
     """Refuse simulators that would import what nobody allowed, before they do."""
     for name, simulator in simulators.items():
         for module in simulator.imports:
-            if not is_allowed(module, allowed):
+            if not is_allowed(module, [*allowed, *WORLDS]):
                 told = f"the simulator of domain {name!r} imports {module}; expected a package that you allow"
                 raise ConfigError(f"{told}: add --allow_imports {module.partition('.')[0]} if you trust it")
 
