@@ -84,9 +84,9 @@ def test_states_of_opening_are_scored_at_the_end_of_phases_alone(run: RunDirecto
 def test_phases_leave_their_pictures(phase: str, names: set[str], run: RunDirectory) -> None:
     events = EventAccumulator(str(run.phase(phase)))
     events.Reload()
-    assert {*events.Tags()["images"]} == names
+    assert {*events.Tags()["images"]} == {f"{phase}/{name}" for name in names}
     for name in names:
-        (shown,) = events.Images(name)
+        (shown,) = events.Images(f"{phase}/{name}")
         assert imread(run.phase(phase) / f"{name}.png").shape[:2] == (shown.height, shown.width)
     with Image.open(run.phase(phase) / "film.gif") as film:
         assert film.n_frames > 2
