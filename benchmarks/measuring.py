@@ -18,7 +18,7 @@ SLACK = 2.5
 
 @dataclass(frozen=True)
 class Options:
-    """What is asked of a benchmark.
+    """Wishes for a benchmark.
 
     Args:
         short: Few rounds of little, and no more than what CI looks at.

@@ -36,7 +36,7 @@ def memory() -> dict[str, float]:
 
 
 class Start:
-    """What a start has come to, in the process that starts."""
+    """Figures of a start, in the process that starts."""
 
     def __init__(self, began: float) -> None:
         self.clock, self.processor = began, 0.0

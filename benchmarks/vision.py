@@ -94,7 +94,7 @@ def _plain_loss(net: PlainNetwork, transitions: Mapping[str, Steps]) -> Tensor:
 
 
 class Setting(NamedTuple):
-    """How the phase computes."""
+    """Way in which the phase computes."""
 
     precision: Precision = "32-true"
     channels_last: bool = True

@@ -1,4 +1,4 @@
-"""How fast a phase trains, as a curve."""
+"""Speed of a phase's training, as a curve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who demonstrates: an expert whose actions are written down before noise is added to them."""
+"""Demonstrating by an expert whose actions are written down before noise is added to them."""
 
 from __future__ import annotations
 

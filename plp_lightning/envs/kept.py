@@ -1,4 +1,4 @@
-"""What takes long to make and is the same for every run of a user: made once, then read from the cache folder."""
+"""Content that takes long to make and is the same for each run of a user: made once, then read from a cache folder."""
 
 from __future__ import annotations
 

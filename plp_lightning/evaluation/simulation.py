@@ -113,8 +113,8 @@ def evaluate_all(
     observers: Mapping[str, Sequence[Observer]] | None = None,
 ) -> dict[str, Outcome]:
     """Outcome of every trial by its name; ``simulators`` are by domain, ``observers`` by trial."""
-    watching = observers or {}
+    watching, acting = observers or {}, where_it_acts(policy)
     return {
-        name: evaluate(policy, simulators[trial.domain], trial, episodes, seed, metrics, watching.get(name, ()))
+        name: evaluate(acting, simulators[trial.domain], trial, episodes, seed, metrics, watching.get(name, ()))
         for name, trial in trials.items()
     }

@@ -57,7 +57,7 @@ class Policy(Configured, nn.Module, ABC):
 
     @property
     def acts_on(self) -> torch.device:
-        """Where it acts fastest: without images the way to a GPU and back costs more than a step on the processor."""
+        """Device that it acts fastest on: without images the way to a GPU and back costs more than a step here."""
         return next(self.parameters()).device if self.cameras else torch.device("cpu")
 
     @abstractmethod

@@ -82,7 +82,7 @@ class LatentPicture(Callback):
         seen: Mapping[str, np.ndarray],
         latents: Mapping[str, np.ndarray],
     ) -> dict[str, Pictures]:
-        """What cameras have seen of states, and drawings of those that are nearest where there is no camera."""
+        """Pictures by cameras of states, and drawings of those that are nearest where there is no camera."""
         images: dict[str, Pictures] = dict(seen)
         if self.reenactment is None or len(latents) < 2:
             return images

@@ -174,7 +174,7 @@ def _listening(phase: Phase[Any], heard: list[Logged]) -> Iterator[None]:
 
 
 def obstacle(trainer: Trainer) -> str:
-    """What keeps a GPU from taking the steps of the trainer's phase as graphs; empty if nothing does."""
+    """Tells what keeps a GPU from taking the steps of the trainer's phase as graphs; empty if nothing does."""
     schedulers = [config.scheduler for config in trainer.lr_scheduler_configs]
     cycled = any(isinstance(scheduler, OneCycleLR | CyclicLR) for scheduler in schedulers)
     obstacles = {

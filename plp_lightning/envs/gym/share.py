@@ -19,7 +19,7 @@ from plp_lightning.envs.rendering.backend import choose_backend
 
 
 class Moved(NamedTuple):
-    """What a control step brought, a row for each episode."""
+    """Result of a control step, a row for each episode."""
 
     observation: Observation[np.ndarray]
     success: np.ndarray  # (n,) bool

@@ -22,7 +22,7 @@ TASK_WORDS = ("make", "reset")
 
 
 class Shown(NamedTuple):
-    """What one environment tells about all."""
+    """Facts that one environment tells about all."""
 
     keys: tuple[ObservationKey, ...]
     actions: ActionRange
@@ -117,7 +117,7 @@ def _control_hz(env: Any) -> float:
 
 
 def _setups(tasks: Sequence[str] | Mapping[str, Setup]) -> Mapping[str, Setup]:
-    """What sets up each task; refuses, by a :class:`ConfigError`, other words than :data:`TASK_WORDS`."""
+    """Arguments that set up each task; refuses, by a :class:`ConfigError`, other words than :data:`TASK_WORDS`."""
     if not tasks:
         raise ConfigError("Gymnasium.tasks is empty; expected names, or reset and make arguments by name")
     if not isinstance(tasks, Mapping):

@@ -69,7 +69,7 @@ def _leaves(space: Any, path: tuple[str | int, ...]) -> Iterator[Leaf]:
 
 @dataclass(frozen=True)
 class ActionRange:
-    """What -1 and 1 stand for in an environment's actions, ``(A,)`` each."""
+    """Values that -1 and 1 stand for in an environment's actions, ``(A,)`` each."""
 
     low: np.ndarray
     high: np.ndarray
