@@ -137,7 +137,8 @@ def _check_bounds(place: str, hint: Any, value: Any) -> None:
     elif value is None and not _may_be_none(hint):
         raise ConfigError(f"{place} is null; expected a value; change it or leave it away")
     elif get_origin(hint) in (Union, types.UnionType):
-        for option in () if _is_word(value, parts) else parts:
+        by_name = [option for option in parts if get_origin(option) is dict] if isinstance(value, Mapping) else []
+        for option in () if _is_word(value, parts) else by_name or parts:
             _check_bounds(place, option, value)
     elif isinstance(value, Mapping):
         for name, item in value.items():

@@ -264,12 +264,19 @@ class TransferDataModule(LightningDataModule):
 
     def val_dataloader(self) -> FixedBatches | FixedPairs:
         batch_spec = self._phase_spec()
+        tasks = self.target_tasks if batch_spec.steps == "mix" else self.proxy_tasks
+        return self._held_out(batch_spec, self.rows(tasks, "val", batch_spec.next_observation))
+
+    def held_out_proxies(self, batch_spec: BatchSpec) -> FixedBatches | FixedPairs:
+        """Held-out batches of proxy tasks in the target domain; pairs hold the source's of their task beside them."""
+        rows = self.rows(self.proxy_tasks, "val", batch_spec.next_observation)
+        return self._held_out(batch_spec, {d: found for d, found in rows.items() if d == self.target_domain})
+
+    def _held_out(self, batch_spec: BatchSpec, rows: Mapping[str, np.ndarray]) -> FixedBatches | FixedPairs:
         datasets = self._tables(batch_spec)
         if batch_spec.steps == "none":
             return self._held_out_pairs(datasets)
-        tasks = self.target_tasks if batch_spec.steps == "mix" else self.proxy_tasks
-        size = min(dataset.rows_at_a_time(1024) for dataset in datasets.values())
-        return FixedBatches(datasets, self.rows(tasks, "val", batch_spec.next_observation), size, batch_spec)
+        return FixedBatches(datasets, rows, min(table.rows_at_a_time(1024) for table in datasets.values()), batch_spec)
 
     def transfer_batch_to_device(self, batch: Batch | Selection, device: torch.device, dataloader_idx: int) -> Batch:
         if isinstance(batch, Selection):

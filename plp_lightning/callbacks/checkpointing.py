@@ -197,15 +197,17 @@ class BestCheckpoint(ModelCheckpoint):
     """The same whatever the loss is called: Lightning's own holds the name, and names have changed since some runs
     began, which would forget their best when they are resumed."""
 
-    def __init__(self, folder: Path, monitor: str) -> None:
-        super().__init__(folder, "best", monitor=monitor, save_top_k=1, enable_version_counter=False)
+    def __init__(self, folder: Path, monitor: str, after_validation: bool = True) -> None:
+        when: dict[str, Any] = {} if after_validation else {"save_on_train_epoch_end": True}
+        super().__init__(folder, "best", monitor=monitor, save_top_k=1, enable_version_counter=False, **when)
 
 
-def best_and_last(folder: Path, monitor: str | None) -> list[ModelCheckpoint]:
+def best_and_last(folder: Path, monitor: str | None, after_validation: bool = True) -> list[ModelCheckpoint]:
     """``best.ckpt`` by held-out loss and ``last.ckpt``; one callback for both would let "last" fall behind.
 
-    If nothing is held out, there is no loss to ``monitor`` and no best.
+    If nothing is held out, there is no loss to ``monitor`` and no best. It is known ``after_validation``, or at the end
+    of an epoch.
     """
     always: dict[str, Any] = {"every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
     last = ModelCheckpoint(folder, "last", monitor=None, save_top_k=1, **always)
-    return [last] if monitor is None else [BestCheckpoint(folder, monitor), last]
+    return [last] if monitor is None else [BestCheckpoint(folder, monitor, after_validation), last]

@@ -76,7 +76,7 @@ class SimulatorEvaluation(Callback):
         if trainer.is_global_zero:
             with forgiving("this evaluation is left away"):
                 found = self._found(phase.policy.eval())
-        _log_at_once(trainer, phase, found)
+        log_at_once(trainer, phase, found)
         phase.policy.train(training)
 
     def _found(self, policy: Policy) -> dict[str, float]:
@@ -110,10 +110,10 @@ class AlignmentMetrics(Callback):
                 with forgiving("alignment scores that need it are left away"):
                     scores = self.score(pl_module.policy, self.data, self.simulators)
                     found = {f"alignment/{name}": value for name, value in scores.items()}
-            _log_at_once(trainer, pl_module, found)
+            log_at_once(trainer, pl_module, found)
 
 
-def _log_at_once(trainer: Trainer, phase: Phase, metrics: Mapping[str, float]) -> None:
+def log_at_once(trainer: Trainer, phase: Phase, metrics: Mapping[str, float]) -> None:
     """Log what an epoch came to before its checkpoint is saved: whoever is killed after that has it in the curves.
 
     Lightning would write it after the epoch's last hook, at the step that is used here. All ranks know what rank 0 has

@@ -58,7 +58,7 @@ def assessment_options(verb: str, arguments: Sequence[str], description: str) ->
         return parser
     parser.add_argument("run", type=Path, nargs="?", metavar="RUN_DIR", help="run whose policy to look at")
     parser.add_argument("--phase", help="phase whose checkpoint to use; the last one if not given")
-    parser.add_argument("--which", choices=["last", "best"], default="last", help="which checkpoint of the phase")
+    parser.add_argument("--which", choices=["last", "best"], help="its checkpoint; what it handed on if not given")
     parser.add_argument("--allow_imports", action="append", default=[], help="package of yours that the run uses")
     return parser
 
@@ -94,4 +94,6 @@ def _of_run(path: Path, options: argparse.Namespace) -> Assessment:
     done = [name for name in experiment.method.phases if run.checkpoint(name).exists()]
     if not done:
         raise ConfigError(f"{run.path}: has no checkpoint yet; finish a phase with plp fit --resume {run.path}")
-    return Assessment(experiment, run.checkpoint(options.phase or done[-1], options.which), run.path, run)
+    phase = options.phase or done[-1]
+    checkpoint = run.checkpoint(phase, options.which) if options.which else run.handed_on(phase)
+    return Assessment(experiment, checkpoint, run.path, run)

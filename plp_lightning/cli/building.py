@@ -40,6 +40,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
     config.trainer.logger = None  # a phase builds its own
     made = _made(parser, config)
     check_names({"experiment": made.experiment, "method": made.method})
+    made.handover.check(made.phases, made.data.val_fraction)
     return Experiment(
         name=made.experiment,
         method=Method(made.method, made.policy, {name: made[name] for name in made.phases}),
@@ -49,6 +50,7 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         run_root=Path(made.run_root),
         domains=made.domains,
         data=_data(made, made.data),
+        handover=made.handover,
         evaluation=made.evaluation,
         score=JointScore(made.score) if made.score else None,
         callbacks=made.callbacks,

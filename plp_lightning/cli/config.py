@@ -36,7 +36,7 @@ from plp_lightning.evaluation.scores import AlignmentScore
 from plp_lightning.networks import ImageEncoderFactory
 from plp_lightning.plugins import find_in_working_folder, plugins
 from plp_lightning.runs.experiment import Experiment, PhaseFactory, PolicyFactory
-from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan, HandoverPlan
 
 PAGES = Path(__file__).parents[1] / "configs"
 BASE = PAGES / "base.yaml"
@@ -217,6 +217,7 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     for name in phases:
         told = f"phase {name}: class, losses, epochs, optimizer"
         parser.add_argument(f"--{name}", type=PhaseFactory, help=told)
+    parser.add_class_arguments(HandoverPlan, "handover")
     parser.add_class_arguments(EvaluationPlan, "evaluation")
     parser.add_argument("--score", type=list[AlignmentScore] | None, default=[], help="alignment scores; += appends")
     parser.add_argument("--callbacks", type=list[Callback], default=[], help="further callbacks; += appends")

@@ -25,7 +25,7 @@ def run_export(arguments: Sequence[str]) -> None:
     parser.add_argument("--domain", help="robot that it acts in; the run's target domain if not given")
     parser.add_argument("--task", help="task that it does; the run's target task if not given")
     parser.add_argument("--phase", help="phase whose checkpoint to use; the last one if not given")
-    parser.add_argument("--which", choices=["last", "best"], default="last", help="which checkpoint of the phase")
+    parser.add_argument("--which", choices=["last", "best"], help="its checkpoint; what it handed on if not given")
     parser.add_argument("--out", type=Path, help="file to write; policy.onnx and the like in the run if not given")
     parser.add_argument("--allow_imports", action="append", default=[], help="package of yours with the policy's class")
     options = parser.parse_args(list(arguments))

@@ -16,7 +16,7 @@ from datamodules.errors import ConfigError
 from plp_lightning.cli.classes import defaults, find_class
 from plp_lightning.cli.yaml_files import Tree
 
-GROUPS = ("domains", "data", "collection", "evaluation", "trainer")
+GROUPS = ("domains", "data", "collection", "handover", "evaluation", "trainer")
 """Keys that hold settings and are no objects."""
 
 

@@ -191,12 +191,14 @@ def _decided(experiment: Experiment, tree: Mapping[str, Any], phase: str, readin
     """Hash of all that decides the policy after a phase: settings, data, and the phases up to it."""
     phases = list(experiment.method.phases)
     until = phases[: phases.index(phase) + 1]
-    kept = {key: value for key, value in without_places(tree).items() if key not in (*phases, "data", "phases")}
+    kept = {
+        key: value for key, value in without_places(tree).items() if key not in (*phases, "data", "phases", "handover")
+    }
     kept |= {f"data.{key}": value for key, value in tree["data"].items()}
     kept = {key: value for key, value in kept.items() if key not in LATER}
     kept["collection"] = {key: value for key, value in kept["collection"].items() if f"collection.{key}" not in LATER}
     target = experiment.data.target_task if any(name in reading for name in until) else None
-    trained = [(name, tree[name]) for name in until]
+    trained = [(name, tree[name], experiment.handover.of(name)) for name in until]
     return _hash([kept, trained, str(experiment.data.path), experiment.data.proxy_tasks, target])
 
 

@@ -98,6 +98,13 @@ class Phase(Configured, LightningModule, Generic[P]):
             for name in (f"val/bc_{domain}", "val/bc"):
                 self.log(name, loss, batch_size=len(steps.action), on_epoch=True)
 
+    def proxy_loss(self, batch: Batch) -> Tensor:
+        """Loss on proxy tasks that are held out in the target domain, a scalar: of behavioural cloning.
+
+        It tells the best epoch where that is handed on; no batch holds a target task.
+        """
+        return self.cloning_loss(batch.steps)
+
     def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """The policy's actions ``(B_d, A_d)`` by domain."""
         return self.policy.predict_actions({d: s.observation for d, s in steps.items()}, tasks_of(steps))

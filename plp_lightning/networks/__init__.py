@@ -1,5 +1,6 @@
 """NETWORKS: the parts that policies of several methods are put together from, as plain torch modules."""
 
+from plp_lightning.networks.adversary import Adversary
 from plp_lightning.networks.cameras import Vision, build_vision, vision_width
 from plp_lightning.networks.domains import DomainColumns, InputScaler, Sharing, split_by_domain, take_columns
 from plp_lightning.networks.frozen import with_frozen_parameters
@@ -9,6 +10,7 @@ from plp_lightning.networks.vision import ImageDecoder, ImageEncoder, ImageEncod
 
 __all__ = [
     "ActionDecoder",
+    "Adversary",
     "DomainColumns",
     "ImageDecoder",
     "ImageEncoder",

@@ -104,6 +104,10 @@ class RunDirectory:
         """``best`` or ``last`` checkpoint of a phase."""
         return self.phase(phase) / "checkpoints" / f"{which}.ckpt"
 
+    def handed_on(self, phase: str) -> Path:
+        """Checkpoint that a phase that is done hands on; the last one so far of a phase that is not."""
+        return self.checkpoint(phase, self.phase_record(phase).get("handed_on", "last"))
+
     def status(self) -> dict[str, Any]:
         """State of the run and of each of its phases; a :class:`ConfigError` says if the file is damaged."""
         status = {"state": "new", "phases": {}, **self.read_json("status.json")}
@@ -115,20 +119,20 @@ class RunDirectory:
         return [name for name, record in self.status()["phases"].items() if record.get("state") == "done"]
 
     def check_done(self, phase: str) -> None:
-        """Make sure that a phase is done, and that its record and its last checkpoint are what it left.
+        """Make sure that a phase is done, and that its record and the checkpoint that it handed on are what it left.
 
         Raises:
             ConfigError: If it is not done, or its record has changed.
             CheckpointError: If the checkpoint has changed.
         """
-        file, last, record = self.path / "status.json", self.checkpoint(phase), self.phase_record(phase)
+        file, handed, record = self.path / "status.json", self.handed_on(phase), self.phase_record(phase)
         if record.get("state") != "done":
             raise ConfigError(f"{self.path}: phase {phase} is not done; finish it by plp fit --resume {self.path}")
         check(record, DONE, file, f"phases.{phase}")
         if record.get("sha256") not in (None, record_hash(record)):
             raise ConfigError(f"{file}: the record of phase {phase} has changed since it was written; {REMEDY}")
-        if record.get("checkpoint_sha256") not in (None, file_hash(last)):
-            raise CheckpointError(f"{last}: is not what phase {phase} left when it was done; {REMEDY}")
+        if record.get("checkpoint_sha256") not in (None, file_hash(handed)):
+            raise CheckpointError(f"{handed}: is not what phase {phase} left when it was done; {REMEDY}")
 
     def update_status(self, state: str, phase: str | None = None, record: Mapping[str, Any] | None = None) -> None:
         """Set the run's state and, if named, a phase's record."""

@@ -26,7 +26,7 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
 from plp_lightning.pictures.reenactment import Reenactment
 from plp_lightning.runs.collection import ExpertCollector
-from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan, HandoverPlan
 
 PolicyFactory = Callable[[TransferProblem], Policy]
 PhaseFactory = Callable[[Policy], Phase[Any]]
@@ -55,6 +55,7 @@ class Experiment:
     run_root: Path
     domains: Mapping[str, Domain]
     data: TransferDataModule
+    handover: HandoverPlan
     evaluation: EvaluationPlan
     score: JointScore | None
     callbacks: Sequence[Callback]

@@ -38,7 +38,7 @@ def fit(
 ) -> None:
     """Run the phases that are not done yet, one after the other.
 
-    A phase always begins from the last checkpoint of the one before, on disk, so that a run that was interrupted
+    A phase always begins from the checkpoint that the one before handed on, on disk, so that a run that was interrupted
     anywhere takes the same way as an unbroken one. Phases of the run ``origin`` stand in for those before the first.
     All ranks of the ``crew`` train, this one does everything else.
     """
@@ -69,10 +69,11 @@ def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Pa
         phase = prepare_phase(experiment, name, weights)
         trainer = build_trainer(experiment, run, name, phase, resumed, stopwatch)
         train(trainer, experiment, phase, resumed)
+        which = hand_on(experiment, run, name, phase)
         record = assess(experiment, phase, trainer)
         last = [*(run.status().get("wanted") or experiment.method.phases)][-1] == name
         log_end(trainer, experiment, record, last)
-    made = {**Progress.of(trainer)._asdict(), "device": device_name(trainer.strategy.root_device)}
+    made = {**Progress.of(trainer)._asdict(), "device": device_name(trainer.strategy.root_device), "handed_on": which}
     _note_done(run, name, record | made)
 
 
@@ -91,12 +92,20 @@ def train(trainer: Trainer, experiment: Experiment, phase: Phase, resumed: Resum
     trainer.fit(phase, datamodule=experiment.data, ckpt_path=place, weights_only=True)
 
 
+def hand_on(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> str:
+    """Give a trained phase the weights that it hands on; tells of which checkpoint, ``last`` or ``best``, they are."""
+    which = experiment.handover.of(name).epoch
+    if which != "last":
+        load_policy_weights(phase.policy, run.checkpoint(name, which))
+    return which
+
+
 def _note_done(run: RunDirectory, name: str, record: dict[str, Any]) -> None:
-    """Write down that a phase is done, with hashes of its checkpoint and of its record."""
-    last = run.checkpoint(name)
-    done = run.phase_record(name) | record | {"state": "done", "checkpoint_sha256": file_hash(last)}
+    """Write down that a phase is done, with hashes of the checkpoint that it hands on and of its record."""
+    handed = run.checkpoint(name, record["handed_on"])
+    done = run.phase_record(name) | record | {"state": "done", "checkpoint_sha256": file_hash(handed)}
     run.update_status("running", name, done | {"sha256": record_hash(done)})
-    previous_checkpoint(last).unlink(missing_ok=True)  # a phase that is done goes on from nowhere
+    previous_checkpoint(run.checkpoint(name)).unlink(missing_ok=True)  # a phase that is done goes on from nowhere
 
 
 def check_checkpoints(experiment: Experiment, run: RunDirectory, origin: RunDirectory | None) -> None:

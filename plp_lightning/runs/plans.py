@@ -1,10 +1,12 @@
-"""Settings of a run: the recipe of its demonstrations, and the amount and times of evaluation."""
+"""Settings of a run: the recipe of its demonstrations, the weights that phases hand on, and when to evaluate."""
 
 # No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
-from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveInt
+from datamodules.errors import ConfigError
+from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveInt, Share
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 
 
@@ -42,6 +44,52 @@ class CollectionConfig(Configured):
 DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
 """Settings of a recipe that decide what its demonstrations hold."""
 RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}  # Settings that are called otherwise in older files
+
+
+Epoch = Literal["last", "best"]
+
+
+class Handover(NamedTuple):
+    """Weights that one phase hands on."""
+
+    average_over: float
+    epoch: Epoch
+
+
+@dataclass(frozen=True)
+class HandoverPlan(Configured):
+    """Weights that phases hand on: to evaluation, to the next phase, to exported policies.
+
+    Either setting is one for all phases, or one by phase; phases that are not named have the default.
+
+    Args:
+        average_over: Share of a phase's steps that its weights are averaged over; 0 leaves them as they are.
+        epoch: Epoch that is handed on: the ``last``, or the ``best`` by the phase's loss on proxy tasks that are held
+            out in the target domain. Nothing of the target task has a say in it.
+    """
+
+    average_over: Share | dict[str, Share] = 0.0
+    epoch: Epoch | dict[str, Epoch] = "last"
+
+    def of(self, phase: str) -> Handover:
+        """Settings of one phase."""
+        over, epoch = self.average_over, self.epoch
+        return Handover(
+            over.get(phase, 0.0) if isinstance(over, dict) else over,
+            epoch.get(phase, "last") if isinstance(epoch, dict) else epoch,
+        )
+
+    def check(self, phases: Collection[str], val_fraction: float) -> None:
+        """Refuse, by a :class:`ConfigError`, phases that the method has not, and a best epoch that nothing tells."""
+        for key, value in (("average_over", self.average_over), ("epoch", self.epoch)):
+            if unknown := [name for name in (value if isinstance(value, dict) else ()) if name not in phases]:
+                told = f"handover.{key} names phase {unknown[0]!r}"
+                raise ConfigError(f"{told}; expected some of: {', '.join(phases)}: rename it or leave it away")
+        if val_fraction == 0 and any(self.of(name).epoch == "best" for name in phases):
+            told = "handover.epoch is best, and data.val_fraction is 0"
+            raise ConfigError(
+                f"{told}; expected held-out demonstrations that tell the best: raise it, or take the last"
+            )
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,14 @@ PACKAGE = "plp_lightning"
 
 
 def load_policy(
-    path: Path | str, phase: str | None = None, which: str = "last", allow_imports: Sequence[str] = ()
+    path: Path | str, phase: str | None = None, which: str | None = None, allow_imports: Sequence[str] = ()
 ) -> Policy:
     """Load a trained policy, ready to act on states ``(n, O)``: ``policy.act(observation, domain=…, task=…)``.
 
     Args:
         path: A run directory, a checkpoint in one, or a safetensors file that ``plp export`` wrote.
         phase: Phase whose checkpoint to take; the last one that has any if not given.
-        which: ``last`` or ``best`` checkpoint of the phase.
+        which: ``last`` or ``best`` checkpoint of the phase; the one that it handed on if not given.
         allow_imports: Packages of yours that the policy's class may be imported from.
 
     Raises:
@@ -60,7 +60,7 @@ def check_own(run: RunDirectory, checkpoint: Path) -> None:
     """
     phase = checkpoint.parents[1].name
     check_owner(read_checkpoint(checkpoint), checkpoint, run.identity, phase)
-    if checkpoint == run.checkpoint(phase) and phase in run.done_phases():
+    if checkpoint == run.handed_on(phase) and phase in run.done_phases():
         run.check_done(phase)
 
 
@@ -88,13 +88,16 @@ def _put_weights(policy: Policy, content: dict[str, Any], checkpoint: Path) -> N
         raise CheckpointError(f"{checkpoint}: {lost[0]} is not finite; use a checkpoint from before training diverged")
 
 
-def checkpoint_of(run: RunDirectory, phase: str | None, which: str) -> Path:
-    """Checkpoint of a phase, or of the last one that has any; a :class:`ConfigError` says if there is none."""
+def checkpoint_of(run: RunDirectory, phase: str | None, which: str | None) -> Path:
+    """Checkpoint of a phase, or of the last one that has any; a :class:`ConfigError` says if there is none.
+
+    Without ``last`` or ``best`` it is the one that the phase handed on.
+    """
     names = [phase] if phase else [*run.status()["phases"]]
-    found = [run.checkpoint(name, which) for name in names if run.checkpoint(name, which).exists()]
-    if not found:
-        remedy = f"finish a phase with plp fit --resume {run.path}"
-        raise ConfigError(f"{run.path}: has no checkpoint {which!r} of {phase or 'any phase'}; {remedy}")
+    files = [run.handed_on(name) if which is None else run.checkpoint(name, which) for name in names]
+    if not (found := [file for file in files if file.exists()]):
+        remedy, kind = f"finish a phase with plp fit --resume {run.path}", "" if which is None else f" {which!r}"
+        raise ConfigError(f"{run.path}: has no checkpoint{kind} of {phase or 'any phase'}; {remedy}")
     return found[-1]
 
 

@@ -35,6 +35,7 @@ class PhaseRecord(TypedDict, total=False):
     state: Literal["running", "done"]
     seconds: Seconds
     from_sha256: str  # of the file that it began with
+    handed_on: Literal["last", "best"]  # its checkpoint for what comes after it; once it is done
 
 
 class DoneRecord(TypedDict):
@@ -44,7 +45,7 @@ class DoneRecord(TypedDict):
     trials: dict[str, OutcomeRecord]
     alignment: dict[str, Number]
     facts: NotRequired[dict[str, Number]]  # those of earlier versions have none
-    checkpoint_sha256: NotRequired[str]  # of the file of its last checkpoint
+    checkpoint_sha256: NotRequired[str]  # of the file that it handed on
     sha256: NotRequired[str]  # of this record; those of earlier versions have none
 
 

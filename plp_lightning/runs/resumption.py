@@ -54,19 +54,19 @@ def _read_or_restore(last: Path) -> dict[str, Any]:
 
 
 def check_done(run: RunDirectory, phase: str) -> None:
-    """Make sure that a phase is done, and that its record and its checkpoint are what it left.
+    """Make sure that a phase is done, and that its record and the checkpoint that it handed on are what it left.
 
     Raises:
         CheckpointError: If the checkpoint is missing, damaged, of another run or phase, or a later one.
         ConfigError: If the phase is not done, or its record has changed.
     """
-    last = run.checkpoint(phase)
-    check_owner(read_checkpoint(last), last, run.identity, phase)
+    handed = run.handed_on(phase)
+    check_owner(read_checkpoint(handed), handed, run.identity, phase)
     run.check_done(phase)
 
 
 def weights_before(experiment: Experiment, run: RunDirectory, name: str, origin: RunDirectory | None) -> Path | None:
-    """Checkpoint that a phase begins with: the last one of the phase before it, of this run or of ``origin``.
+    """Checkpoint that a phase begins with: what the phase before it handed on, in this run or in ``origin``.
 
     The run's record keeps its hash. None for the first phase.
 
@@ -79,7 +79,7 @@ def weights_before(experiment: Experiment, run: RunDirectory, name: str, origin:
     before = names[names.index(name) - 1]
     giver = run if run.checkpoint(before).exists() or origin is None else origin
     check_done(giver, before)
-    weights = giver.checkpoint(before)
+    weights = giver.handed_on(before)
     digest = file_hash(weights)
     if run.phase_record(name).get("from_sha256", digest) != digest:
         remedy = "restore it, or begin a new run"

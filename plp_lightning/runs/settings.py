@@ -18,9 +18,15 @@ from torch.optim import Optimizer
 
 from datamodules.amounts import DataSettings
 from datamodules.settings import Configured
-from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan
+from plp_lightning.runs.plans import CollectionConfig, EvaluationPlan, HandoverPlan
 
-GROUPS = dict[str, type](data=DataSettings, collection=CollectionConfig, evaluation=EvaluationPlan, trainer=Trainer)
+GROUPS: dict[str, type] = {
+    "data": DataSettings,
+    "collection": CollectionConfig,
+    "handover": HandoverPlan,
+    "evaluation": EvaluationPlan,
+    "trainer": Trainer,
+}
 """Classes behind the keys that name none."""
 PLACES = ("run_root", "data.root", "data.file")  # Keys that say where something lies, not what it is
 IDENTITY = ("experiment", "method", "data.target_task", "seed", "allow_imports")

@@ -17,11 +17,13 @@ from lightning.pytorch.profilers import AdvancedProfiler, PyTorchProfiler, Simpl
 
 from datamodules.errors import ConfigError
 from datamodules.words import visible
+from plp_lightning.callbacks.averaging import AveragedWeights
 from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, Owner, RandomState, best_and_last
 from plp_lightning.callbacks.evaluation import AlignmentMetrics, SimulatorEvaluation
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.callbacks.guard import FiniteGuard
 from plp_lightning.callbacks.preemption import Preemption
+from plp_lightning.callbacks.proxy_loss import PROXY_LOSS, ProxyLoss
 from plp_lightning.callbacks.speed import Speed
 from plp_lightning.methods.phase import Phase
 from plp_lightning.pictures.latents import LatentPicture
@@ -33,6 +35,7 @@ from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.further_loggers import further_loggers, tell_settings
 from plp_lightning.runs.metrics_file import MetricsFile
 from plp_lightning.runs.phase_progress import PhaseProgress
+from plp_lightning.runs.plans import Handover
 from plp_lightning.runs.resumption import Resumption
 from plp_lightning.runs.stopwatch import Stopwatch
 from plp_lightning.steps.loop import step_quickly
@@ -202,7 +205,7 @@ def quiet_lightning() -> None:
 def _callbacks_of_all(experiment: Experiment, name: str, phase: Phase) -> list[Callback]:
     """Callbacks that every rank has."""
     plan, simulators = experiment.evaluation, experiment.simulators
-    found: list[Callback] = [FreezeGuard(), FiniteGuard(), RandomState()]
+    found: list[Callback] = [*_handover(experiment.handover.of(name)), FreezeGuard(), FiniteGuard(), RandomState()]
     if phase.policy_acts and (settings := experiment.eval_settings_of(phase.policy)):
         every = plan.every_n_epochs.get(name)
         evaluation = simulators, settings, plan.episodes, every, experiment.seed, plan.metrics
@@ -210,6 +213,12 @@ def _callbacks_of_all(experiment: Experiment, name: str, phase: Phase) -> list[C
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))
     return found
+
+
+def _handover(handover: Handover) -> list[Callback]:
+    """Callbacks that make what is handed on; all others see what they have made."""
+    averaging = [AveragedWeights(handover.average_over)] if handover.average_over > 0 else []
+    return [*averaging, *([ProxyLoss()] if handover.epoch == "best" else [])]
 
 
 def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> list[Callback]:
@@ -225,5 +234,7 @@ def _own_callbacks(experiment: Experiment, run: RunDirectory, name: str, phase: 
 
 
 def _checkpointing(experiment: Experiment, run: RunDirectory, name: str, phase: Phase) -> list[ModelCheckpoint]:
-    monitor = phase.monitor if experiment.data.val_fraction > 0 else None
-    return best_and_last(run.checkpoint(name).parent, monitor)
+    folder = run.checkpoint(name).parent
+    if experiment.handover.of(name).epoch == "best":
+        return best_and_last(folder, PROXY_LOSS, after_validation=False)
+    return best_and_last(folder, phase.monitor if experiment.data.val_fraction > 0 else None)

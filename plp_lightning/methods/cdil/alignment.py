@@ -21,7 +21,7 @@ from plp_lightning.methods.cdil.phases import CdilPhase
 from plp_lightning.methods.cdil.policy import OTHER, CdilPolicy, Role
 from plp_lightning.methods.optimization import FusedAdamW, LinearDecay, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.translation import CachedFeatures
-from plp_lightning.networks import TaskNetwork, with_frozen_parameters
+from plp_lightning.networks import Adversary, TaskNetwork, with_frozen_parameters
 
 
 class RoundTrip(NamedTuple):
@@ -60,6 +60,10 @@ class CdilWeights(Configured):
     latent: NonNegativeFloat = 1.0
     position: NonNegativeFloat = 1.0
     penalty: NonNegativeFloat = 0.1
+
+
+class Discriminators(Adversary, nn.ModuleDict):
+    """Discriminators by role of their domain."""
 
 
 class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
@@ -107,7 +111,7 @@ class CdilAlignment(CdilPhase, CachedFeatures[CdilPolicy]):
         self.discriminator_lr, self.noise = discriminator_lr, noise
         sizes = {role: policy.perception.sizes[domain] for domain, role in policy.roles.items()}
         tasks, hidden, layers = len(policy.tasks), discriminator_hidden, discriminator_layers
-        self.discriminators = nn.ModuleDict(
+        self.discriminators = Discriminators(
             {role: TaskNetwork(2 * size, tasks, 1, hidden, layers) for role, size in sizes.items()}
         )
         self.register_buffer("shared", torch.ones(tasks), persistent=False)

@@ -60,6 +60,10 @@ class CdilPhase(Phase[CdilPolicy]):
         self.log_parts(parts | {"loss": total}, step_count(batch.steps))
         return total
 
+    def proxy_loss(self, batch: Batch) -> Tensor:
+        """Sum of the held-out losses, a scalar."""
+        return torch.stack([*self.held_out_losses(batch).values()]).sum()
+
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         parts = self.held_out_losses(batch)
         total = {"loss": torch.stack([*parts.values()]).sum()} if parts else {}

@@ -57,6 +57,9 @@ class ContextualCloning(Phase[ContextualPolicy]):
         for name in ("val/bc", f"val/bc_{self.policy.target.name}"):
             self.log(name, loss, batch_size=frames, on_epoch=True)
 
+    def proxy_loss(self, batch: Batch) -> Tensor:
+        return self._loss(batch)[0]
+
     def _loss(self, batch: Batch) -> tuple[Tensor, int]:
         """Mean over all steps, and how many there are."""
         domain, most = self.policy.target.name, self.policy.max_length

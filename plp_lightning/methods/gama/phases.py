@@ -20,7 +20,7 @@ from plp_lightning.methods.gama.policy import GamaPolicy
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase, step_count, tasks_of
 from plp_lightning.methods.translation import CachedFeatures, PointReconstruction
-from plp_lightning.networks import mlp, with_frozen_parameters
+from plp_lightning.networks import Adversary, mlp, with_frozen_parameters
 
 
 class GamaPretraining(Phase[GamaPolicy]):
@@ -70,6 +70,12 @@ class GamaPretraining(Phase[GamaPolicy]):
         for name, loss in self._losses(state, batch.steps).items():
             self.log(f"val/{name}", loss, batch_size=step_count(batch.steps), on_epoch=True)
 
+    def proxy_loss(self, batch: Batch) -> Tensor:
+        """Held-out loss of the target domain's dynamics, a scalar."""
+        target = self.policy.target
+        seen = {target: self.policy.features(target, batch.steps[target].observation)}
+        return self._losses(seen, batch.steps)["dynamics"]
+
     def _losses(self, state: Mapping[str, Tensor], steps: Mapping[str, Steps]) -> dict[str, Tensor]:
         """Losses of the source policy and of the dynamics, as far as there are steps of their domains."""
         policy, parts = self.policy, {}
@@ -95,7 +101,7 @@ class GamaPhase(CachedFeatures[GamaPolicy]):
         return self.policy.control({domain: self.states[domain][s.row] for domain, s in steps.items()}, tasks_of(steps))
 
 
-class TransitionDiscriminator(nn.Module):
+class TransitionDiscriminator(Adversary):
     """Tells whether a transition and its task are of the source domain or translated.
 
     The one-hot task makes it one discriminator a task. It sees the next state as the change, in units of a typical

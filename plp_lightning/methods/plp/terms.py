@@ -24,7 +24,7 @@ from plp_lightning.methods.plp.losses import (
 )
 from plp_lightning.methods.plp.losses.tcc import Similarity
 from plp_lightning.methods.plp.policy import PortablePolicy
-from plp_lightning.networks import ImageDecoder, ImageEncoding, mlp, with_frozen_parameters
+from plp_lightning.networks import Adversary, ImageDecoder, ImageEncoding, mlp, with_frozen_parameters
 from plp_lightning.networks.cameras import ByShape, View, shape_name
 from plp_lightning.networks.image_encoders import ImageShape
 from plp_lightning.networks.vision import downsampled_sizes
@@ -130,7 +130,7 @@ class TCC(AlignmentTerm):
         return {"tcc": (loss, self.weight)}
 
 
-class DomainDiscriminator(nn.Module):
+class DomainDiscriminator(Adversary):
     """Tells from a latent state of ``latent`` numbers, Z, which of D ``domains`` it came from."""
 
     def __init__(self, latent: int, domains: int, hidden: int, layers: int) -> None:

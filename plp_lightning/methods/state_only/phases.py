@@ -159,6 +159,10 @@ class StateOnlyAdaptation(Adaptation):
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         self.log("val/next", self._foresight(batch.steps), batch_size=step_count(batch.steps), on_epoch=True)
 
+    def proxy_loss(self, batch: Batch) -> Tensor:
+        """L_next on held-out proxy tasks, a scalar."""
+        return self._foresight(batch.steps)
+
     def _foresight(self, steps: Mapping[str, Steps]) -> Tensor:
         """L_next, from latent states that are known already."""
         known = {domain: self.before_and_after(domain, s.row) for domain, s in steps.items()}
