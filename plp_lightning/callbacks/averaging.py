@@ -9,7 +9,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from datamodules.settings import Configured, Share
-from plp_lightning.networks import Adversary
+from plp_lightning.methods.phase import Phase
 
 RAW, STEPS = "raw_weights", "averaged_steps"
 """Keys of a checkpoint beside its ``state_dict``, which holds the average."""
@@ -39,7 +39,7 @@ class AveragedWeights(Configured, Callback):
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Begin with the raw weights, or with those of the checkpoint that the phase goes on from."""
         self.span = max(1, round(self.over * int(trainer.estimated_stepping_batches)))
-        self.weights = averaged_parameters(pl_module)
+        self.weights = pl_module.averaged_parameters() if isinstance(pl_module, Phase) else {}
         self.others = [self.loaded.get(name, own).to(own, copy=True) for name, own in self.weights.items()]
         self.loaded, self.shown, self.seen = {}, self.steps > 0, trainer.global_step
 
@@ -50,7 +50,7 @@ class AveragedWeights(Configured, Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        if (taken := trainer.global_step) == self.seen:  # gradients are still gathered
+        if not self.weights or (taken := trainer.global_step) == self.seen:  # gradients are still gathered
             return
         self.seen, self.steps = taken, self.steps + 1
         share = 1 / min(self.steps, self.span)
@@ -90,10 +90,3 @@ class AveragedWeights(Configured, Callback):
     def on_load_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         """Keep the raw weights until training begins; the phase has the average by now."""
         self.loaded, self.steps = checkpoint.get(RAW, {}), checkpoint.get(STEPS, 0)
-
-
-def averaged_parameters(phase: LightningModule) -> dict[str, Tensor]:
-    """Parameters of a phase that are trained, by name, without those of its adversaries."""
-    against = {id(own) for part in phase.modules() if isinstance(part, Adversary) for own in part.parameters()}
-    found = phase.named_parameters(remove_duplicate=False)  # a checkpoint holds each name
-    return {name: own.detach() for name, own in found if own.requires_grad and id(own) not in against}

@@ -19,6 +19,7 @@ from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import OptimizerFactory, PhaseSchedule, SchedulerFactory, let_clip
 from plp_lightning.methods.policy import Policy
 from plp_lightning.methods.upgrade import upgrade_checkpoint
+from plp_lightning.networks import Adversary
 
 P = TypeVar("P", bound=Policy)
 ROWS_AT_A_TIME = 8192
@@ -69,6 +70,12 @@ class Phase(Configured, LightningModule, Generic[P]):
     def parameter_groups(self) -> list[Any]:
         """Gives the parameters that the optimizer may change, or groups of them with rates of their own."""
         return [parameter for parameter in self.parameters() if parameter.requires_grad]
+
+    def averaged_parameters(self) -> dict[str, Tensor]:
+        """Gives the parameters that are trained, by name, without those of adversaries: what an average is made of."""
+        against = {own for part in self.modules() if isinstance(part, Adversary) for own in part.parameters()}
+        found = self.named_parameters(remove_duplicate=False)  # a checkpoint holds every name
+        return {name: own.detach() for name, own in found if own.requires_grad and own not in against}
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         optimizer = self.optimizer(self.parameter_groups())
