@@ -39,3 +39,17 @@ def test_the_literal_recipe_leaves_nothing_of_a_page_that_the_paper_prints_other
     assert (policy["encoder_state"], policy["gradient_floor"]) == ("all", 0)
     assert policy["decoder_state"] == ("all" if recipe == "literal_maze" else "none")
     assert (made["data"]["tasks_per_batch"], made["data"]["val_fraction"]) == (None, 0)
+
+
+@pytest.mark.parametrize("method", ["plp", "plp_t_noaction", "bc", "gama", "cdil", "contextual"])
+@pytest.mark.parametrize("name", ["p2p_medium", "v2v_reach"])
+def test_the_stable_recipe_goes_on_top_of_any_experiment_and_method(name: str, method: str) -> None:
+    files = [
+        BY_NAME[name],
+        ROOT / "configs" / "methods" / f"{method}.yaml",
+        ROOT / "configs" / "recipes" / "stable.yaml",
+    ]
+    made = yaml.safe_load(parse([word for file in files for word in ("--config", str(file))]).config)
+    assert made["handover"] == {"average_over": 0.1, "epoch": "best"}
+    for phase in {"alignment", "adaptation"} & {*made["phases"]}:
+        assert made[phase]["init_args"]["lr_scheduler"]["class_path"].endswith(".CosineDecay")

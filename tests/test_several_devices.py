@@ -77,6 +77,7 @@ SETTINGS = {
     "time": ["--trainer.max_time", "00:01:00:00", "--trainer.val_check_interval", "0.5"],
     "stopping": ["--callbacks+=EarlyStopping", "--callbacks.monitor", "val/bc", "--callbacks.patience", "1"],
     "averaging": ["--callbacks+=EMAWeightAveraging"],
+    "handing on": ["--handover.average_over", "0.3", "--handover.epoch", "best"],
     "profile": ["--trainer.profiler", "simple"],
     "an odd share": ["--data.batch_size", "38", "--trainer.limit_train_batches", "7"],
 }

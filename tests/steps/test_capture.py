@@ -83,8 +83,10 @@ def test_a_run_of_graphs_is_that_of_single_steps(method: str, tmp_path: Path) ->
 
 
 @pytest.mark.usefixtures("stand_in")
-def test_a_run_of_graphs_resumes_exactly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    schedules = ["--alignment.lr_scheduler", "CosineDecay", "--adaptation.lr_scheduler", "CosineDecay"]
+@pytest.mark.parametrize("handover", [[], ["--handover.average_over", "0.3", "--handover.epoch", "best"]])
+def test_a_run_of_graphs_resumes_exactly(handover: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    schedules = ["--alignment.lr_scheduler", "CosineDecay", "--adaptation.lr_scheduler", "CosineDecay", *handover]
+    single = run(tmp_path / "single", "--cuda_graphs", "false", *schedules)
     unbroken = run(tmp_path / "unbroken", *schedules)
     noticed, original = [], Preemption.on_train_batch_end
 
@@ -100,6 +102,7 @@ def test_a_run_of_graphs_resumes_exactly(tmp_path: Path, monkeypatch: pytest.Mon
     broken = smoke_run(tmp_path / "broken")
     assert plp("fit", "--resume", broken.path).code == 0
     assert same(trained(broken), trained(unbroken))
+    assert same(trained(single), trained(unbroken))
 
 
 @pytest.mark.usefixtures("stand_in")
