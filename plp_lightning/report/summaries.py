@@ -96,6 +96,17 @@ def middle(tasks: Mapping[tuple[str, str], Sequence[float]]) -> Estimate | None:
     return Estimate(float(interquartile_means(values)[0]), *bootstrap_interval([*tasks.values()], interquartile_means))
 
 
+def worst_seed(records: Iterable[Record]) -> float | None:
+    """Least success of a seed, the mean over its target tasks; None unless two seeds or more have all of these."""
+    found: dict[int, dict[tuple[str, str], float]] = defaultdict(dict)
+    for record in records:
+        if record.success is not None:
+            found[record.run.seed][record.run.experiment, record.run.target] = record.success
+    tasks = {task for rates in found.values() for task in rates}
+    whole = [fmean(rates.values()) for rates in found.values() if rates.keys() == tasks]
+    return min(whole) if len(whole) > 1 else None
+
+
 def paired(first: Iterable[Record], second: Iterable[Record]) -> tuple[int, Estimate] | None:
     """Mean of the first's success less the second's on the same targets and seeds, with Student's interval.
 

@@ -6,8 +6,9 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 from plp_lightning.report.document import NOT_RUN, Cell, Section, Table, cell, row
+from plp_lightning.report.records import Record
 from plp_lightning.report.reference import Reference, ReferenceTable
-from plp_lightning.report.summaries import Group, Measure, middle, paired, success, summarise
+from plp_lightning.report.summaries import Group, Measure, Summary, middle, paired, success, summarise, worst_seed
 from plp_lightning.report.summaries import by_target as runs_by_target
 from plp_lightning.report.words import (
     ABOVE,
@@ -107,7 +108,7 @@ def _compared(groups: Sequence[Group], compared: Reference, table: ReferenceTabl
 
 
 def interquartile_means(groups: Sequence[Group]) -> list[Section]:
-    """Interquartile means of groups with two seeds or more of every target task, and over all their experiments."""
+    """What groups with two seeds or more of every target task come to, with the worst seed, and over experiments."""
     repeated = [group for group in groups if (found := group.summary()) and found.middle]
     if not repeated:
         return []
@@ -115,11 +116,19 @@ def interquartile_means(groups: Sequence[Group]) -> list[Section]:
     for group in repeated:
         found = group.summary()
         assert found is not None
-        numbers = [str(found.runs), estimate(found.middle), f"{number(found.mean)} ({interval(found.interval)})"]
+        numbers = [str(found.runs), estimate(found.middle), *_over_seeds(found, group.records)]
         rows.append([*row(group.experiment, group.method), *row(*numbers, runs=group.anchor)])
-    text = "Mean of the middle half of all runs, and mean of all, with 95 % intervals of the stratified bootstrap."
-    header = ["experiment", "method", "runs", "interquartile mean", "mean"]
+    text = (
+        "Mean of the middle half of all runs, and mean of all, with 95 % intervals of the stratified bootstrap; "
+        "standard deviation over seeds within a target task (pooled); the worst seed's mean over target tasks."
+    )
+    header = ["experiment", "method", "runs", "interquartile mean", "mean", "± seeds", "worst seed"]
     return [Section("Over seeds", [text], [Table(header, [*rows, *_over_all(repeated)])])]
+
+
+def _over_seeds(found: Summary, records: Sequence[Record]) -> list[str]:
+    mean = f"{number(found.mean)} ({interval(found.interval)})"
+    return [mean, number(found.over_seeds), number(worst_seed(records))]
 
 
 def _over_all(groups: Sequence[Group]) -> Iterator[list[Cell]]:
@@ -132,7 +141,7 @@ def _over_all(groups: Sequence[Group]) -> Iterator[list[Cell]]:
             found = summarise(records)
             assert found is not None
             numbers = [str(found.runs), estimate(middle(runs_by_target(records, success)))]
-            yield row("all of these", method, *numbers, f"{number(found.mean)} ({interval(found.interval)})")
+            yield row("all of these", method, *numbers, *_over_seeds(found, records))
 
 
 def differences(groups: Sequence[Group]) -> list[Section]:

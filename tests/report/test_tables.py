@@ -175,6 +175,18 @@ def test_interquartile_means_are_told_of_two_seeds_or_more_of_every_target():
     assert "## Over seeds" not in lines(*runs, record(target="x2y2h2"))
 
 
+def test_the_worst_seed_is_that_of_all_target_tasks_together():
+    rates = {("x0y0h0", 0): 0.2, ("x2y2h2", 0): 1.0, ("x0y0h0", 1): 0.9, ("x2y2h2", 1): 0.1}
+    runs = [record(success=rate, target=target, seed=seed) for (target, seed), rate in rates.items()]
+    assert section("Over seeds", *runs)[0].endswith(" | 0.57 | 0.50 |")
+    further = record(success=0.0, seed=2)  # has not been run on the other one
+    assert section("Over seeds", *runs, further)[0].endswith(" | 0.50 |")
+    apart = [
+        record(success=0.5, seed=seed, target=target) for target in "ab" for seed in (1, 2, 3)[target == "b" :][:2]
+    ]
+    assert section("Over seeds", *apart)[0].endswith(" | – |")  # seed 2 alone has both
+
+
 def test_csv_has_a_line_a_run_and_a_column_a_score():
     text = comma_separated([record(alignment={"top1": 0.25, "top5": 0.5}), record(seed=1)])
     first, second = csv.DictReader(io.StringIO(text))
