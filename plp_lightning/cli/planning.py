@@ -25,7 +25,7 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.rehearsal import check_method
 from plp_lightning.runs.roles import find_roles
-from plp_lightning.runs.settings import config_hash, without_places
+from plp_lightning.runs.settings import config_hash, with_defaults, without_places
 from plp_lightning.sweeps.page import OWN, SweepPage, Variant, variants
 from plp_lightning.sweeps.sharing import PlannedRun
 
@@ -223,7 +223,7 @@ def _check_same(name: str, path: Path, tree: Mapping[str, Any]) -> None:
     if results.get("config_sha256") == config_hash(tree):
         return
     begun_with = read_yaml(run.config)
-    changed = first_change(without_places(begun_with), without_places(tree))
+    changed = first_change(without_places(with_defaults(begun_with)), without_places(with_defaults(tree)))
     if changed:
         remedy = "restore the setting, name another root, or remove the run"
         raise ConfigError(f"{name}: {changed} has changed since the run began; {remedy}")

@@ -176,7 +176,8 @@ def sample_states(data: TransferDataModule, domain: str, count: int) -> Observat
 
 def sample_rows(data: TransferDataModule, domain: str, count: int) -> np.ndarray:
     """Rows ``(count,)`` of :func:`sample_states` in the domain's dataset."""
-    rows = np.sort(np.concatenate([data.rows(data.proxy_tasks, part)[domain] for part in data.parts]))
+    parts = [data.rows(data.proxy_tasks, part) for part in data.parts]  # with one demonstration, none is held out
+    rows = np.sort(np.concatenate([found[domain] for found in parts if domain in found]))
     return generator(Stream.SCORED_STATES, list(data.domains).index(domain)).permutation(rows)[:count]
 
 

@@ -61,6 +61,12 @@ def without_places(resolved: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in resolved.items() if key not in PLACES} | own
 
 
+def with_defaults(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """A resolved configuration with the defaults of settings of groups that it is older than."""
+    known = {key: {**_defaults(made), **resolved.get(key, {})} for key, made in GROUPS.items()}
+    return {**resolved, **known}
+
+
 def _differing(key: str, value: Any, default: Any) -> dict[str, Any]:
     if value == default or (default is UNKNOWN and value in (None, [])):
         return {}

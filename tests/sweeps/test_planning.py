@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from command import ROOT, plp
 
+from datamodules.errors import ConfigError
 from datamodules.plain_yaml import dump_yaml, parse_yaml
 from plp_lightning.cli import planning
 from plp_lightning.cli.config import parse
@@ -56,6 +57,12 @@ def test_words_mean_what_was_planned(tmp_path: Path) -> None:
         begun.mkdir(parents=True)
         (begun / "config.yaml").write_text(experiment.config)
         planning._check_same(run.name, begun, parse_yaml(experiment.config))
+        older = {key: value for key, value in parse_yaml(experiment.config).items() if key != "handover"}
+        (begun / "config.yaml").write_text(dump_yaml(older))
+        planning._check_same(run.name, begun, parse_yaml(experiment.config))
+        changed = parse_yaml(experiment.config) | {"handover": {"average_over": 0.1, "epoch": "last"}}
+        with pytest.raises(ConfigError, match=r"handover\.average_over has changed since the run began"):
+            planning._check_same(run.name, begun, changed)
     assert [run.name for run in runs[-2:]] == ["smoke/plp_weak/goal_6/seed_0", "smoke/plp_weak/goal_6/seed_7"]
 
 
@@ -82,6 +89,10 @@ def test_phases_that_see_the_target_task_are_not_shared(tmp_path: Path) -> None:
         ({"data.mix_ratio": 1.0}, True),
         ({"data.target_trajectories": 7}, True),
         ({"collection.processes": 1}, True),
+        ({"handover.epoch.adaptation": "best"}, True),
+        ({"handover.average_over": {"adaptation": 0.1}}, True),
+        ({"handover.epoch": "best"}, False),
+        ({"handover.average_over.alignment": 0.1}, False),
         ({"alignment.epochs": 3}, False),
         ({"policy.hidden": 16}, False),
         ({"data.trajectories": 7}, False),
