@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from datamodules.batches.normalization import Scaling
 from datamodules.errors import ConfigError
@@ -36,6 +36,7 @@ from plp_lightning.networks import (
 
 EncoderWord = Literal["all"]
 DecoderWord = Literal["none", "proprioception", "all"]
+LatentNorm = Literal["none", "layer"]
 EncoderState = EncoderWord | list[str]
 DecoderState = DecoderWord | list[str]
 
@@ -67,6 +68,9 @@ class PortablePolicy(AligningPolicy):
         decoder_state: Input of the decoder beside the latent action: ``none``; ``proprioception``, which is the whole
             state, since a state holds what a robot senses of itself; ``all``, which is the state and the image; or
             the named keys of the state, of which each domain shows those that it has.
+        latent_norm: Normalisation of latent states: ``none``, as in the paper, or ``layer``, by which all have the
+            length √Z. MMD compares distances with their mean; where latents may be of any length, a few grow until
+            that mean says nothing of the others.
         columns: Columns of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which
             suits domains whose vectors mean the same.
         scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
@@ -88,6 +92,7 @@ class PortablePolicy(AligningPolicy):
         gradient_floor: NonNegativeFloat = 0.1,
         encoder_state: EncoderState = "all",
         decoder_state: DecoderState = "proprioception",
+        latent_norm: LatentNorm = "none",
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
         image_encoder: ImageEncoderFactory = ImageEncoding(),
@@ -105,6 +110,7 @@ class PortablePolicy(AligningPolicy):
         self.actions = DomainColumns({spec.name: spec.action_size for spec in domains}, columns)
         inputs = self.states.width + len(domains) + image_features
         self.encoder = StateEncoder(inputs, latent, hidden, encoder_layers)
+        self.latent_norm = nn.LayerNorm(latent, elementwise_affine=False) if latent_norm == "layer" else nn.Identity()
         self.common = TaskNetwork(latent, len(tasks), latent, hidden, policy_layers)
         self.decoder_sees_images = decoder_state == "all" and image_features > 0
         context = self.contexts.width + len(domains) + (image_features if self.decoder_sees_images else 0)
@@ -123,7 +129,7 @@ class PortablePolicy(AligningPolicy):
         inputs = self.states.join(states)
         if self.image_encoder is not None:
             inputs = torch.cat([inputs, self.image_encoder(observation)], dim=1)
-        return split_by_domain(self.encoder(inputs), states)
+        return split_by_domain(self.latent_norm(self.encoder(inputs)), states)
 
     def decode(self, latent_action: Parts, observation: Observations) -> dict[str, Tensor]:
         """ψ: actions ``(B_d, A_d)`` by domain from latent actions ``(B_d, Z)``."""
