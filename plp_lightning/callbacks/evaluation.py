@@ -12,7 +12,7 @@ from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.faults import forgiving
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.evaluation.simulation import EvalSetting, evaluate_all
+from plp_lightning.evaluation.simulation import EvalSetting, evaluate_quickly
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
 
@@ -81,7 +81,7 @@ class SimulatorEvaluation(Callback):
 
     def _found(self, policy: Policy) -> dict[str, float]:
         found, plan = dict[str, float](), (self.eval_settings, self.episodes, self.seed, self.metrics)
-        for name, outcome in evaluate_all(policy, self.simulators, *plan).items():
+        for name, outcome in evaluate_quickly(policy, self.simulators, *plan).items():
             told = {"success": outcome.success, "invalid": float(outcome.invalid), **outcome.behaviour}
             found |= {f"eval/{name}_{measure}": value for measure, value in told.items()}
         return found

@@ -23,6 +23,10 @@ class Episodes:
     steps: np.ndarray
     """Control steps until success, the end or divergence, int64."""
 
+    def take(self, part: slice) -> Episodes:
+        """The outcome ``(n,)`` of some of the episodes."""
+        return Episodes(self.success[part], self.invalid[part], self.steps[part])
+
 
 class Observer:
     """Hears all of a rollout and changes nothing; a subclass keeps what it wants of it."""

@@ -11,9 +11,18 @@ import torch
 
 from datamodules.streams import episode_seed
 from datamodules.types import Actor, Observation, ObservationKey
+from plp_lightning.envs.base import Step
 from plp_lightning.envs.rollout import Episodes
 from plp_lightning.envs.synthetic import LinearPoint
-from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate, evaluate_all
+from plp_lightning.evaluation.behaviour import BehaviourMetric, StepsToSuccess
+from plp_lightning.evaluation.simulation import (
+    TOGETHER,
+    EvalSetting,
+    Outcome,
+    evaluate,
+    evaluate_all,
+    evaluate_quickly,
+)
 from plp_lightning.evaluation.statistics import success_interval
 from plp_lightning.methods import ContextualPolicy
 from plp_lightning.methods.plp import PortablePolicy
@@ -98,6 +107,65 @@ def test_every_trial_runs_in_its_own_domain() -> None:
     found = evaluate_all(policy, simulators, trials, 6, seed=0)
     assert {name: outcome.success for name, outcome in found.items()} == {"target": 1.0, "proxy": 0.0}
     assert {state.shape[1] for _, _, state in policy.calls} == {5}
+
+
+class Counting(BehaviourMetric):
+    """Control steps of a set of episodes."""
+
+    name = "counting"
+
+    def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
+        self.total = 0
+
+    def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
+        self.total += len(episodes)
+
+    def value(self, outcome: Episodes) -> float:
+        return float(self.total)
+
+
+class Raising(LinearPoint):
+    """Raises where it is to step more episodes than one trial has."""
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        if len(episodes) > 6:  # two trials of six run together
+            raise ValueError("too many")
+        return super().step(actions, episodes)
+
+
+TRIALS = {
+    "target": EvalSetting("tall", ("goal_0",)),
+    "source": EvalSetting("flat", ("goal_0", "goal_3")),
+    "proxy": EvalSetting("tall", ("goal_4", "goal_0")),
+}
+
+
+def test_short_trials_of_a_domain_run_together_with_the_same_outcomes() -> None:
+    simulators = {"flat": LinearPoint(2, 5, horizon=9), "tall": LinearPoint(2, 5, horizon=9)}
+    policy, metrics = Clever(simulators["tall"], ["goal_0"]), [StepsToSuccess()]
+    apart = evaluate_all(policy, simulators, TRIALS, 6, 0, metrics)
+    calls, policy.calls = len(policy.calls), []
+    together = evaluate_quickly(policy, simulators, TRIALS, 6, 0, metrics)
+    assert [*together.items()] == [*apart.items()]
+    assert 0 < apart["proxy"].success < 1
+    assert next(count for domain, count, _ in policy.calls if domain == "tall") == 12
+    assert len(policy.calls) == 2 * 9 < calls
+
+
+@pytest.mark.parametrize("episodes", [6, TOGETHER])
+def test_trials_run_by_themselves_where_they_are_heard_or_many(episodes: int) -> None:
+    simulators = {"flat": LinearPoint(2, 5, horizon=9), "tall": LinearPoint(2, 5, horizon=9)}
+    policy, metrics = Clever(simulators["tall"], ["goal_0"]), [Counting()] if episodes == 6 else []
+    apart = evaluate_all(policy, simulators, TRIALS, episodes, 0, metrics)
+    calls, policy.calls = len(policy.calls), []
+    assert evaluate_quickly(policy, simulators, TRIALS, episodes, 0, metrics) == apart
+    assert len(policy.calls) == calls
+
+
+def test_a_simulator_that_raises_in_trials_together_is_asked_for_each() -> None:
+    simulators = {"flat": LinearPoint(2, 5), "tall": Raising(2, 5)}
+    policy = Clever(simulators["tall"], ["goal_0"])
+    assert evaluate_quickly(policy, simulators, TRIALS, 6, 0) == evaluate_all(policy, simulators, TRIALS, 6, 0)
 
 
 def test_outcomes_are_plain_data() -> None:
