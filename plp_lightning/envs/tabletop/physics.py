@@ -13,7 +13,7 @@ import numpy as np
 
 from datamodules.types import Observation
 from plp_lightning.envs.engine import Engine
-from plp_lightning.envs.native import Desk, load, save
+from plp_lightning.envs.native import Desk, entry, load, mj_forward, mj_step, save
 from plp_lightning.envs.rendering.camera import Camera, Viewpoint
 from plp_lightning.envs.tabletop.layout import Layout
 from plp_lightning.envs.tabletop.model import TabletopModel
@@ -31,6 +31,8 @@ class Room(NamedTuple):
 
     data: mujoco.MjData
     desk: Desk
+    place: np.ndarray  # (3,): of the point that the hand follows, in data
+    turn: np.ndarray  # (4,): its orientation
     camera: Camera
 
 
@@ -42,7 +44,9 @@ class TabletopPhysics(Engine[Room]):
         super().__init__(scene.model, threads)
 
     def room(self, data: mujoco.MjData) -> Room:
-        return Room(data, Desk.of(self.model, data), Camera(self.model, self.viewpoint, self.image_size))
+        place, turn = data.mocap_pos[self.scene.follower], data.mocap_quat[self.scene.follower]
+        camera = Camera(self.model, self.viewpoint, self.image_size)
+        return Room(data, Desk.of(self.model, data), place, turn, camera)
 
     def reset(self, layouts: Sequence[Layout]) -> Observation[np.ndarray]:
         """Begin E episodes, one for each layout; their first observations ``(E, …)``."""
@@ -83,22 +87,9 @@ class TabletopPhysics(Engine[Room]):
 
     def _change(self, room: Room, rows: np.ndarray, actions: np.ndarray, valid: np.ndarray) -> None:
         for i, row in enumerate(rows):
-            state = self.states[row]
-            valid[i] = valid[i] and load(room.desk, state)
-            if valid[i]:
-                self._hold(room, actions[i])
-                valid[i] = save(room.desk, state)
+            valid[i] = valid[i] and _advance(room.desk, room.place, room.turn, self.states[row], actions[i])
             if valid[i]:
                 self._look(room, row)
-
-    def _hold(self, room: Room, action: np.ndarray) -> None:
-        data, follower = room.data, self.scene.follower
-        action = np.clip(action, -1.0, 1.0)
-        data.mocap_pos[follower] = np.clip(data.mocap_pos[follower] + action[:3] * ACTION_SCALE, *WORKSPACE)
-        data.mocap_quat[follower] = DOWN
-        data.ctrl[:] = action[3], -action[3]
-        mujoco.mj_step(self.scene.model, data, nstep=SUBSTEPS)
-        mujoco.mj_forward(self.scene.model, data)
 
     def _look(self, room: Room, row: int) -> None:
         data, scene, seen = room.data, self.scene, self.observed[row]
@@ -108,3 +99,21 @@ class TabletopPhysics(Engine[Room]):
         seen[3] = min(np.linalg.norm(right - left) / WIDEST_GRIP, 1.0)
         self.sites[row] = data.site_xpos[scene.sites]
         room.camera.image(data, self.images[row])
+
+
+@entry
+def _advance(desk: Desk, place: np.ndarray, turn: np.ndarray, state: np.ndarray, action: np.ndarray) -> bool:
+    """Hold an action ``(4,)`` for one control step of a row's state; False if it diverged, and then it stays."""
+    if not load(desk, state):
+        return False
+    for axis in range(3):
+        way = min(max(action[axis], -1.0), 1.0) * ACTION_SCALE
+        place[axis] = min(max(place[axis] + way, WORKSPACE[0, axis]), WORKSPACE[1, axis])
+    for part in range(4):
+        turn[part] = DOWN[part]
+    grip = min(max(action[3], -1.0), 1.0)
+    desk.ctrl[0], desk.ctrl[1] = grip, -grip
+    for _ in range(SUBSTEPS):
+        mj_step(desk.model, desk.data)
+    mj_forward(desk.model, desk.data)  # Meta-World leaves it out, and shows where things stood before
+    return save(desk, state)
