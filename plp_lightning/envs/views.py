@@ -60,6 +60,11 @@ class Rendered(Protocol):
         """
 
 
+def put_away(simulator: object) -> None:
+    """Let go of a simulator's studio, ``_studio`` by name: hundreds of MB. The next picture makes it anew."""
+    vars(simulator).pop("_studio", None)
+
+
 def located(simulator: object) -> Located:
     """The simulator, if it knows a position that domains share.
 

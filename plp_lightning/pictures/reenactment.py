@@ -15,7 +15,7 @@ from datamodules.types import Observation
 from plp_lightning.envs.base import Domain, Expert, Simulator
 from plp_lightning.envs.demonstrator import Demonstrator
 from plp_lightning.envs.faults import blaming
-from plp_lightning.envs.views import Rendered
+from plp_lightning.envs.views import Rendered, put_away
 from plp_lightning.pictures.replay import check_filmable, seen
 
 SIZE = (192, 192)  # height and width of a picture, pixels
@@ -61,6 +61,8 @@ class Reenactment:
         except UserError as error:
             print(f"plp: {error}; nearest states are not drawn", file=sys.stderr)
             return []
+        finally:
+            put_away(simulator)
 
     def _drawn(self, simulator: Simulator, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[np.ndarray]:
         dataset = data.datasets[domain]

@@ -182,3 +182,17 @@ def test_a_build_that_fails_apart_is_tried_here(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(sys, "executable", python)
     monkeypatch.setattr(building, "build", lambda robot: robot.encode())
     assert lift._built_apart("UR5e") == b"UR5e"
+
+
+SEEN = """<mujoco><worldbody>
+  <body><joint/><geom size="1" group="0"/><geom size="1" group="1"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("python", [sys.executable, "/bin/false", "/no/python"])
+def test_a_model_to_be_seen_is_the_same_wherever_it_is_compiled(monkeypatch: pytest.MonkeyPatch, python: str) -> None:
+    here = mujoco.MjModel.from_xml_string(SEEN)
+    monkeypatch.setattr(sys, "executable", python)
+    found = lift.LiftModel(here, None, None, None, 0, SEEN).visible()
+    assert found.geom_group.tolist() == [lift.HIDDEN, 1]
+    assert (found.nq, found.geom_size.tolist()) == (here.nq, here.geom_size.tolist())

@@ -78,6 +78,14 @@ def test_pictures_are_those_of_the_states_in_their_order(noise: float, start: in
     np.testing.assert_array_equal((places @ simulator.lift.T + simulator.shift).astype(np.float32), states)
 
 
+@pytest.mark.parametrize("kind", [Watched, Dark])
+def test_what_pictures_took_is_given_back(kind: type[LinearPoint], tmp_path: Path) -> None:
+    data, simulator = collected(tmp_path / "a.hdf5", CollectionConfig()), kind(1, state_size=3)
+    vars(simulator)["_studio"] = object()
+    drawn(data, simulator)
+    assert "_studio" not in vars(simulator)
+
+
 @pytest.mark.parametrize("wrong", [(0.0, 4), (0.3, 0), (0.0, 0)])
 def test_demonstrations_that_lead_elsewhere_are_not_drawn(
     wrong: tuple[float, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]

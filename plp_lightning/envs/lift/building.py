@@ -20,6 +20,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.lift.compiling import binary
 from plp_lightning.envs.lift.state import Arm
 from plp_lightning.envs.lift.tasks import BLOCK_HALF, PEDESTAL_HALF, Robot
 
@@ -96,7 +97,7 @@ def build(robot: Robot) -> bytes:
     model, file = _bare_model(xml), io.BytesIO()
     np.savez(
         file,
-        model=_binary(model),
+        model=binary(model),
         xml=np.frombuffer(xml.encode(), np.uint8),
         rest_pose=np.array(parts.init_qpos, dtype=float),
         open_fingers=np.array(parts.gripper["right"].init_qpos),
@@ -143,13 +144,6 @@ def _bare_model(xml: str) -> mujoco.MjModel:
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     return model
-
-
-def _binary(model: mujoco.MjModel) -> np.ndarray:
-    """A compiled model as bytes ``(n,)``, which only the same version of MuJoCo reads."""
-    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    return content
 
 
 if __name__ == "__main__":

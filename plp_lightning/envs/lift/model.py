@@ -42,29 +42,45 @@ class LiftModel:
         content = kept(f"lift_{robot}_{_origin()}.npz", partial(_built_apart, robot))
         with np.load(io.BytesIO(content)) as file:
             parts: dict[str, Any] = {name: file[name] if file[name].ndim else int(file[name]) for name in file.files}
-        model = mujoco.MjModel.from_binary_path("lift.mjb", {"lift.mjb": parts["model"].tobytes()})
+        model = _read(parts["model"].tobytes())
         arm, xml = Arm(**{name: parts[name] for name in Arm._fields}), parts["xml"].tobytes().decode()
         return cls(model, arm, parts["rest_pose"], parts["open_fingers"], parts["pedestal"], xml)
 
     def visible(self) -> mujoco.MjModel:
         """A model of the same joints for pictures, with meshes and textures in the place of what collides."""
-        model = mujoco.MjModel.from_xml_string(self.xml)
+        content = _apart("compiling", given=self.xml.encode())
+        model = mujoco.MjModel.from_xml_string(self.xml) if content is None else _read(content)
         model.geom_group[model.geom_group == COLLIDING] = model.site_group[:] = HIDDEN
         model.vis.quality.offsamples = 0  # smooth edges would take more than twice the time
         return model
 
 
+def _read(content: bytes) -> mujoco.MjModel:
+    return mujoco.MjModel.from_binary_path("lift.mjb", {"lift.mjb": content})
+
+
 def _built_apart(robot: Robot) -> bytes:
-    """A robot's model from a process of its own: robosuite leaves hundreds of MB behind, which are given back so."""
-    command = [sys.executable, "-m", "plp_lightning.envs.lift.building", robot]
-    paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    try:
-        return subprocess.run(command, env=os.environ | paths, capture_output=True, check=True).stdout
-    except (OSError, subprocess.CalledProcessError):
-        # Whatever is amiss is told better where it is met again; and it may have been the process alone.
+    """A robot's model from a process of its own."""
+    content = _apart("building", robot)
+    if content is None:
         from plp_lightning.envs.lift.building import build
 
         return build(robot)
+    return content
+
+
+def _apart(module: str, *words: str, given: bytes = b"") -> bytes | None:
+    """What a module of this package makes of words and bytes in a process of its own; None if that fails.
+
+    robosuite and MuJoCo's compiler leave hundreds of MB behind, which are given back so. Whatever is amiss is told
+    better where it is met again; and it may have been the process alone.
+    """
+    command = [sys.executable, "-m", f"plp_lightning.envs.lift.{module}", *words]
+    paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    try:
+        return subprocess.run(command, input=given, env=os.environ | paths, capture_output=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 def _origin() -> str:

@@ -41,6 +41,7 @@ class Camera:
         height, width = (size, size) if isinstance(size, int) else size
         self._model, self._context = model, _make_context(width, height)
         self._context.make_current()
+        model.vis.quality.shadowsize = 0  # room for shadows, which nobody draws, would be 64 MB
         self._drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 100)
