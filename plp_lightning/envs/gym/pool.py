@@ -8,7 +8,7 @@ import os
 import signal
 import traceback
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -37,31 +37,32 @@ class Pool:
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Begin E episodes; gives their first observations ``(E, …)``."""
-        count = len(self.shares)
-        words = [(list(tasks[i::count]), list(seeds[i::count])) for i in range(count)]
-        parts = self._ask("reset", {i: asked for i, asked in enumerate(words) if asked[0]})
-        return _merged(parts, np.arange(len(tasks)) % count)
+        rows = self._rows(np.arange(len(tasks)))
+        asked = {i: ([tasks[row] for row in at], [seeds[row] for row in at]) for i, at in rows.items()}
+        return _shown(self._ask("reset", asked), rows)
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Moved:
         """Take a step in the episodes ``(n,)``, with actions ``(n, A)``."""
-        share = episodes % len(self.shares)
-        parts = self._ask("step", {i: (actions[share == i], self._places(episodes, i)) for i in np.unique(share)})
-        success, over = np.empty(len(share), bool), np.empty(len(share), bool)
-        for i, moved in parts.items():
-            success[share == i], over[share == i] = moved.success, moved.over
-        return Moved(_merged({i: moved.observation for i, moved in parts.items()}, share), success, over)
+        rows = self._rows(episodes)
+        parts = self._ask("step", {i: (actions[at], self._places(episodes[at])) for i, at in rows.items()})
+        success, over = (_joined({i: moved[part] for i, moved in parts.items()}, rows) for part in (1, 2))
+        return Moved(_shown({i: moved.observation for i, moved in parts.items()}, rows), success, over)
 
     def render(self, episodes: np.ndarray) -> np.ndarray:
         """Pictures ``(n, H, W, 3)`` of the episodes ``(n,)``."""
-        share = episodes % len(self.shares)
-        parts = self._ask("render", {i: (self._places(episodes, i),) for i in np.unique(share)})
-        drawn = {i: iter(pictures) for i, pictures in parts.items()}
-        return np.stack([next(drawn[i]) for i in share])
+        rows = self._rows(episodes)
+        parts = self._ask("render", {i: (self._places(episodes[at]),) for i, at in rows.items()})
+        return _joined({i: np.stack(pictures) for i, pictures in parts.items()}, rows)
 
-    def _places(self, episodes: np.ndarray, share: int) -> np.ndarray:
-        count = len(self.shares)
-        places: np.ndarray = episodes[episodes % count == share] // count
-        return places
+    def _rows(self, episodes: np.ndarray) -> dict[int, np.ndarray]:
+        """Rows of each share that has some of the episodes ``(n,)``."""
+        share = episodes % len(self.shares)
+        rows = {i: np.flatnonzero(share == i) for i in range(len(self.shares))}
+        return {i: at for i, at in rows.items() if len(at)}
+
+    def _places(self, episodes: np.ndarray) -> np.ndarray:
+        """Places of episodes ``(n,)`` of one share in it."""
+        return episodes // len(self.shares)
 
     def _ask(self, what: str, words: dict[int, tuple[Any, ...]]) -> dict[int, Any]:
         """Ask shares, all at once, for what they do; gives their answers."""
@@ -76,12 +77,20 @@ class Pool:
         }
 
 
-def _merged(parts: dict[int, Observation[np.ndarray]], share: np.ndarray) -> Observation[np.ndarray]:
-    """Rows of all shares ``(n,)`` in their order."""
-    places = np.argsort(np.argsort(share, kind="stable"), kind="stable")
-    whole = [parts[i] for i in sorted(parts)]
-    images = {name: np.concatenate([part.images[name] for part in whole])[places] for name in whole[0].images}
-    return Observation(np.concatenate([part.state for part in whole])[places], images)
+def _joined(parts: Mapping[int, np.ndarray], rows: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Rows ``(n, …)`` of all shares in their order."""
+    (first, *_), count = parts.values(), sum(map(len, rows.values()))
+    whole: np.ndarray = np.empty((count, *first.shape[1:]), first.dtype)
+    for i, part in parts.items():
+        whole[rows[i]] = part
+    return whole
+
+
+def _shown(parts: Mapping[int, Observation[np.ndarray]], rows: Mapping[int, np.ndarray]) -> Observation[np.ndarray]:
+    """Observations ``(n, …)`` of all shares in their order."""
+    names = next(iter(parts.values())).images
+    images = {name: _joined({i: part.images[name] for i, part in parts.items()}, rows) for name in names}
+    return Observation(_joined({i: part.state for i, part in parts.items()}, rows), images)
 
 
 def _begun(recipe: Recipe) -> Connection:

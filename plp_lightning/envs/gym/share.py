@@ -14,7 +14,8 @@ import numpy as np
 
 from datamodules.errors import ConfigError, UserError
 from datamodules.types import Observation
-from plp_lightning.envs.gym.spaces import ActionRange, Leaf, find_leaves, gather_images, gather_state
+from plp_lightning.envs.gym.models import compiled_once
+from plp_lightning.envs.gym.spaces import ActionRange, Leaf, find_leaves, gather_images, gather_states
 from plp_lightning.envs.rendering.backend import choose_backend
 
 
@@ -98,8 +99,12 @@ class Share:
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Moved:
         """Take a step with actions ``(n, A)`` in the episodes ``(n,)``; those that are over stay as they are."""
-        solved = [self._step(action, i) for action, i in zip(actions, episodes, strict=True)]
-        return Moved(self._observed(episodes), np.array(solved, bool), self.over[episodes])
+        goes = (np.isfinite(actions).all(axis=1) & ~self.over[episodes]).tolist()
+        own, solved = self._actions.own(actions), np.zeros(len(episodes), bool)
+        for row, episode in enumerate(episodes.tolist()):
+            if goes[row]:
+                solved[row] = self._step(own[row], episode)
+        return Moved(self._observed(episodes.tolist()), solved, self.over[episodes])
 
     def render(self, episodes: np.ndarray) -> list[np.ndarray]:
         """Pictures ``(H, W, 3)`` of the episodes ``(n,)``, of the environments' own size."""
@@ -109,24 +114,25 @@ class Share:
         return [np.asarray(picture, np.uint8) for picture in pictures]
 
     def _env(self, task: str) -> Any:
-        return self.free[task].pop() if self.free[task] else self.recipe.build(task)
+        if self.free[task]:
+            return self.free[task].pop()
+        with compiled_once():
+            return self.recipe.build(task)
 
     def _step(self, action: np.ndarray, episode: int) -> bool:
-        if self.over[episode] or not np.isfinite(action).all():
-            return False
-        _, env = self.envs[episode]
-        self.last[episode], reward, terminated, truncated, info = env.step(self._actions.own(action))
-        self.over[episode] = terminated or truncated
-        return self._solved(float(reward), bool(terminated), info)
+        self.last[episode], reward, terminated, truncated, info = self.envs[episode][1].step(action)
+        if terminated or truncated:
+            self.over[episode] = True
+        return self._solved(reward, terminated, info)
 
-    def _solved(self, reward: float, terminated: bool, info: Mapping[str, Any]) -> bool:
+    def _solved(self, reward: Any, terminated: Any, info: Mapping[str, Any]) -> bool:
         wanted = self.recipe.success
         if wanted is None:
             return bool(info.get("is_success", info.get("success", terminated)))
         if isinstance(wanted, float | int):
-            return reward >= wanted
+            return bool(float(reward) >= wanted)
         if wanted == "terminated":
-            return terminated
+            return bool(terminated)
         if wanted not in info:
             known = f"info has {', '.join(map(str, info)) or 'nothing'}"
             told = "expected a name there, 'terminated', or a number that the reward reaches"
@@ -135,10 +141,7 @@ class Share:
 
     def _observed(self, episodes: Iterable[int]) -> Observation[np.ndarray]:
         seen = [self.last[i] for i in episodes]
-        images = [gather_images(self._leaves, one) for one in seen]
-        cameras = [leaf.key for leaf in self._leaves if leaf.key.kind == "image"]
-        stacked = {key.name: np.stack([image[key.name] for image in images]) for key in cameras}
-        return Observation(np.stack([gather_state(self._leaves, one) for one in seen]), stacked)
+        return Observation(gather_states(self._leaves, seen), gather_images(self._leaves, seen))
 
     @cached_property
     def _leaves(self) -> tuple[Leaf, ...]:

@@ -89,19 +89,24 @@ class ActionRange:
             raise ConfigError(f"the environment's actions are {space}; expected {expected}")
         return cls(space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64), space.shape)
 
-    def own(self, action: np.ndarray) -> np.ndarray:
-        """Action ``(A,)``, clipped to [-1, 1], as the environment takes it."""
+    def own(self, actions: np.ndarray) -> np.ndarray:
+        """Actions ``(n, A)``, clipped to [-1, 1], as the environment takes them, ``(n, …)``."""
         middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
-        scaled: np.ndarray = (middle + half * np.clip(action, -1, 1)).reshape(self.shape)
+        scaled: np.ndarray = (middle + half * np.clip(actions, -1, 1)).reshape(len(actions), *self.shape)
         return scaled.astype(np.float32)
 
 
-def gather_state(leaves: Sequence[Leaf], observation: Any) -> np.ndarray:
-    """State ``(O,)`` of an observation."""
-    parts = [np.ravel(leaf.of(observation)) for leaf in leaves if leaf.key.kind == "state"]
-    return np.concatenate(parts).astype(np.float32) if parts else np.zeros(0, np.float32)
+def gather_states(leaves: Sequence[Leaf], observations: Sequence[Any]) -> np.ndarray:
+    """States ``(n, O)`` of observations."""
+    count = len(observations)
+    parts = [_stacked(leaf, observations).reshape(count, -1) for leaf in leaves if leaf.key.kind == "state"]
+    return np.concatenate(parts, axis=1).astype(np.float32) if parts else np.zeros((count, 0), np.float32)
 
 
-def gather_images(leaves: Sequence[Leaf], observation: Any) -> Mapping[str, np.ndarray]:
-    """Images ``(H, W, C)`` of an observation by name."""
-    return {leaf.key.name: np.asarray(leaf.of(observation)) for leaf in leaves if leaf.key.kind == "image"}
+def gather_images(leaves: Sequence[Leaf], observations: Sequence[Any]) -> Mapping[str, np.ndarray]:
+    """Images ``(n, H, W, C)`` of observations by name."""
+    return {leaf.key.name: _stacked(leaf, observations) for leaf in leaves if leaf.key.kind == "image"}
+
+
+def _stacked(leaf: Leaf, observations: Sequence[Any]) -> np.ndarray:
+    return np.array([leaf.of(observation) for observation in observations])
