@@ -11,6 +11,7 @@ import dataclasses
 import importlib
 import inspect
 import math
+import operator
 import types
 from collections.abc import Callable, Mapping, Sequence
 from typing import (
@@ -45,13 +46,26 @@ if TYPE_CHECKING:
     Depth: TypeAlias = int
 
 
+LIMITS: Mapping[str, Callable[[float, float], bool]] = {
+    "minimum": operator.ge,
+    "exclusiveMinimum": operator.gt,
+    "maximum": operator.le,
+    "exclusiveMaximum": operator.lt,
+}
+"""Comparisons of a number and its limit by the keyword of JSON Schema."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """Numbers that a setting may have: their type, the words for the bound, and the test for it."""
+    """Finite numbers that a setting may have: their type, the words for the bound, and its limits as JSON Schema has them."""
 
     kind: type[int] | type[float]
     told: str
-    holds: Callable[[float], bool]
+    limits: Mapping[str, float]
+
+    def holds(self, number: float) -> bool:
+        """Tell whether a number is within the bound."""
+        return number < math.inf and all(LIMITS[name](number, limit) for name, limit in self.limits.items())
 
     def read(self, value: Any) -> int | float:
         """Read a number of the plain type, or raise ValueError if the value is none within the bound."""
@@ -74,15 +88,17 @@ if not TYPE_CHECKING:
         BOUNDS[made] = bound
         return made
 
-    PositiveInt = _bounded("PositiveInt", Bound(int, "a whole number, at least 1", lambda n: n >= 1))
-    NonNegativeInt = _bounded("NonNegativeInt", Bound(int, "a whole number, at least 0", lambda n: n >= 0))
-    PositiveFloat = _bounded("PositiveFloat", Bound(float, "a number above 0", lambda x: 0 < x < math.inf))
-    NonNegativeFloat = _bounded("NonNegativeFloat", Bound(float, "a number, at least 0", lambda x: 0 <= x < math.inf))
-    Seed = _bounded("Seed", Bound(int, "a whole number from 0 to 4294967295", lambda n: 0 <= n < 1 << 32))
-    Threads = _bounded("Threads", Bound(int, "a whole number from 1 to 1024", lambda n: 1 <= n <= 1024))
-    Depth = _bounded("Depth", Bound(int, "a whole number from 1 to 1000", lambda n: 1 <= n <= 1000))
-    Share = _bounded("Share", Bound(float, "a share from 0 to 1", lambda x: 0 <= x <= 1))
-    Fraction = _bounded("Fraction", Bound(float, "a share from 0 to below 1", lambda x: 0 <= x < 1))
+    PositiveInt = _bounded("PositiveInt", Bound(int, "a whole number, at least 1", {"minimum": 1}))
+    NonNegativeInt = _bounded("NonNegativeInt", Bound(int, "a whole number, at least 0", {"minimum": 0}))
+    PositiveFloat = _bounded("PositiveFloat", Bound(float, "a number above 0", {"exclusiveMinimum": 0}))
+    NonNegativeFloat = _bounded("NonNegativeFloat", Bound(float, "a number, at least 0", {"minimum": 0}))
+    Seed = _bounded(
+        "Seed", Bound(int, "a whole number from 0 to 4294967295", {"minimum": 0, "maximum": (1 << 32) - 1})
+    )
+    Threads = _bounded("Threads", Bound(int, "a whole number from 1 to 1024", {"minimum": 1, "maximum": 1024}))
+    Depth = _bounded("Depth", Bound(int, "a whole number from 1 to 1000", {"minimum": 1, "maximum": 1000}))
+    Share = _bounded("Share", Bound(float, "a share from 0 to 1", {"minimum": 0, "maximum": 1}))
+    Fraction = _bounded("Fraction", Bound(float, "a share from 0 to below 1", {"minimum": 0, "exclusiveMaximum": 1}))
 
 T = TypeVar("T")
 
