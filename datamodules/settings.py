@@ -57,7 +57,7 @@ LIMITS: Mapping[str, Callable[[float, float], bool]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """Finite numbers that a setting may have: their type, the words for the bound, and its limits as JSON Schema has them."""
+    """Finite numbers that a setting may be: their type, the words for the bound, and limits in JSON Schema's words."""
 
     kind: type[int] | type[float]
     told: str
@@ -92,9 +92,7 @@ if not TYPE_CHECKING:
     NonNegativeInt = _bounded("NonNegativeInt", Bound(int, "a whole number, at least 0", {"minimum": 0}))
     PositiveFloat = _bounded("PositiveFloat", Bound(float, "a number above 0", {"exclusiveMinimum": 0}))
     NonNegativeFloat = _bounded("NonNegativeFloat", Bound(float, "a number, at least 0", {"minimum": 0}))
-    Seed = _bounded(
-        "Seed", Bound(int, "a whole number from 0 to 4294967295", {"minimum": 0, "maximum": (1 << 32) - 1})
-    )
+    Seed = _bounded("Seed", Bound(int, "a whole number from 0 to 4294967295", {"minimum": 0, "maximum": (1 << 32) - 1}))
     Threads = _bounded("Threads", Bound(int, "a whole number from 1 to 1024", {"minimum": 1, "maximum": 1024}))
     Depth = _bounded("Depth", Bound(int, "a whole number from 1 to 1000", {"minimum": 1, "maximum": 1000}))
     Share = _bounded("Share", Bound(float, "a share from 0 to 1", {"minimum": 0, "maximum": 1}))

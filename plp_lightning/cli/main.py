@@ -29,6 +29,8 @@ VERBS = {
     "report": ("plp_lightning.cli.report:run_report", "tables and figures of many runs, beside the paper's values"),
     "data": ("plp_lightning.cli.data:run_data", "inspect, validate or import trajectory files"),
     "list": ("plp_lightning.cli.listing:run_list", "experiments, methods, simulators, tasks, a line each"),
+    "schema": ("plp_lightning.cli.schema:run_schema", "a JSON Schema of pages, by which editors complete and check"),
+    "completion": ("plp_lightning.cli.completion:run_completion", "a script by which a shell completes all of this"),
     "doctor": ("plp_lightning.cli.doctor:run_doctor", "what works on this machine: packages, renderers, cores"),
 }
 
@@ -68,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _answer(words: Sequence[str]) -> None:
     if not words or words[0] in ("-h", "--help"):
-        print(USAGE.format(verbs="\n".join(f"  {name:9} {text}" for name, (_, text) in VERBS.items())))
+        print(USAGE.format(verbs="\n".join(f"  {name:10} {text}" for name, (_, text) in VERBS.items())))
     elif words[0] == "--version":
         print(f"plp {_installed_version()}")
     else:
