@@ -16,6 +16,8 @@ from command import ROOT, TINY, plp, smoke_run, tiny_smoke
 import plp_lightning
 from datamodules.errors import ConfigError
 from datamodules.types import Observation
+from plp_lightning.envs import Gymnasium
+from plp_lightning.envs.rollout import rollout
 from plp_lightning.runs.directory import RunDirectory
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -47,6 +49,31 @@ def test_a_simulator_of_ones_own_collects_trains_and_tests(words: list[str], tmp
     trials = json.loads((run.path / "test.json").read_text())["trials"]
     assert {name: trials[name]["success"] for name in trials} == {name: results[name]["success"] for name in trials}
     assert {"target", "source", "proxy", "proxy_source"} == trials.keys()
+
+
+def test_fetch_in_two_frames_is_trained_on_and_tested_by_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    assert len((EXAMPLES / "fetch.yaml").read_text().splitlines()) <= 40
+    words = ["--config", EXAMPLES / "fetch.yaml", "--config", ROOT / "tests" / "conf" / "tiny.yaml"]
+    roots = ["--data.root", tmp_path, "--run_root", tmp_path, "--allow_imports", "fetch"]
+    alone = [f"--domains.{domain}.simulator.threads=1" for domain in ("fetch", "turned")]
+    answer = plp("fit", *words, *roots, *alone, "--evaluation.final_episodes", "2")
+    assert answer.code == 0, answer
+    results = json.loads((tmp_path / "fetch" / "plp" / "far_left" / "seed_0" / "results.json").read_text())
+    assert (results["target"]["episodes"], results["target"]["invalid"]) == (2, 0)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_fetchs_expert_reaches_all_places_in_each_frame(turns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    fetch = importlib.import_module("fetch")
+    names, make = [*fetch.PLACES][turns::3], {"turns": turns, "unit": 10.0**turns}
+    simulator = Gymnasium("fetch:Fetch", names, make, keys=["place", "velocity"], horizon=30, threads=1)
+    expert = fetch.FetchExpert()
+    expert.begin(simulator, names, range(len(names)))
+    assert rollout(simulator, expert.act, names, range(len(names))).success.all()
 
 
 def test_without_an_expert_its_demonstrations_come_from_a_file(words: list[str]) -> None:
