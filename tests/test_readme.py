@@ -11,7 +11,7 @@ import pytest
 from command import ROOT, plp, smoke_run, tiny_smoke
 
 from plp_lightning.cli.config import parse
-from plp_lightning.cli.main import find_verb
+from plp_lightning.cli.verbs import find_verb
 
 README = (ROOT / "README.md").read_text()
 CODE = {language: re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL) for language in ("bash", "python")}

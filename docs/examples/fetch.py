@@ -12,7 +12,7 @@ from plp_lightning.envs import Expert, Gymnasium, Simulator
 
 MIDDLE = np.array([1.34, 0.75, 0.53])  # of the places, metres; x leads away from the robot
 PLACES = {
-    f"{row}_{side}": MIDDLE + [x, y, 0.0]
+    f"{row}_{side}": MIDDLE + np.array([x, y, 0.0])
     for row, x in {"near": -0.12, "middle": 0.0, "far": 0.12}.items()
     for side, y in {"left": 0.14, "centre": 0.0, "right": -0.14}.items()
 }

@@ -16,9 +16,9 @@ from datamodules.formats.registry import format_names
 from datamodules.plain_yaml import parse_yaml
 from plp_lightning.cli.config import BASE, PAGES, parse
 from plp_lightning.cli.listing import KINDS
-from plp_lightning.cli.main import VERBS, find_verb
 from plp_lightning.cli.options import OptionParser
 from plp_lightning.cli.schema import KINDS as SCHEMAS
+from plp_lightning.cli.verbs import VERBS, find_verb
 
 SHELLS = ("bash", "zsh", "fish")
 WORDS: Mapping[str, Sequence[str]] = {

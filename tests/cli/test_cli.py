@@ -11,7 +11,7 @@ import pytest
 from command import ROOT, complaint, data_root, plp, tiny_smoke
 
 from plp_lightning.cli.config import option_values
-from plp_lightning.cli.main import VERBS, find_verb
+from plp_lightning.cli.verbs import VERBS, find_verb
 
 LIGHT = """
 import sys

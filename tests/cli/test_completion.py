@@ -11,7 +11,7 @@ import pytest
 from command import complaint, plp
 
 from plp_lightning.cli.completion import SHELLS
-from plp_lightning.cli.main import VERBS
+from plp_lightning.cli.verbs import VERBS
 
 
 @pytest.fixture(scope="module")

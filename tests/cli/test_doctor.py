@@ -12,7 +12,7 @@ import pytest
 from datamodules.errors import UserError
 from plp_lightning.cli import doctor
 from plp_lightning.cli.doctor import run_doctor
-from plp_lightning.cli.main import find_verb
+from plp_lightning.cli.verbs import find_verb
 from plp_lightning.envs.rendering import speed as rendering
 from plp_lightning.envs.rendering.backend import Backend, missing, works
 from plp_lightning.envs.rendering.speed import frames_per_second
