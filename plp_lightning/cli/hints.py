@@ -92,7 +92,7 @@ class Definitions:
         kinds = sorted({*known_classes([root])}, key=lambda kind: kind.__name__)
         kinds = [kind for kind in kinds if not inspect.isabstract(kind) and not kind.__name__.startswith("_")]
         settings = [self._settings(kind, given) for kind in kinds]
-        names = self._named(f"name of {root.__name__}", lambda: _names(kinds))
+        names = self._named(f"name-of-{root.__name__}", lambda: _names(kinds))
         each = [
             {"if": _says(kind), "then": {"properties": {"init_args": own}}}
             for kind, own in zip(kinds, settings, strict=True)
@@ -104,7 +104,7 @@ class Definitions:
 
     def _settings(self, kind: type, given: int) -> Schema:
         """Settings of a class."""
-        return self._named(f"settings of {kind.__module__}.{kind.__qualname__}", lambda: self._made(kind, given))
+        return self._named(f"settings-of-{kind.__module__}.{kind.__qualname__}", lambda: self._made(kind, given))
 
     def _made(self, kind: type, given: int) -> Schema:
         parser = ArgumentParser(exit_on_error=False)
@@ -115,7 +115,7 @@ class Definitions:
         if name not in self.made:
             self.made[name] = {}  # or a class that holds others of its kind would never end
             self.made[name] |= make()
-        return {"$ref": f"#/$defs/{name.replace(' ', '%20')}"}
+        return {"$ref": f"#/$defs/{name}"}
 
 
 def _object(**properties: Schema) -> Schema:
