@@ -1,4 +1,4 @@
-"""Gymnasium-Robotics' Fetch as it is and as another lab has it, with other axes, unit and sign; a task is a place."""
+"""Gymnasium-Robotics' Fetch as it is and as another lab has it, with other axes and another unit; a task is a place."""
 
 from collections.abc import Sequence
 from typing import Any
