@@ -1,7 +1,8 @@
 """EXPERTS: the demonstrators of each family."""
 
 from plp_lightning.envs.experts.lift import LiftExpert
+from plp_lightning.envs.experts.metaworld import MetaWorldExpert
 from plp_lightning.envs.experts.tabletop import ReachExpert, WindowExpert
 from plp_lightning.envs.experts.waypoint import WalkerExpert, WaypointExpert
 
-__all__ = ["LiftExpert", "ReachExpert", "WalkerExpert", "WaypointExpert", "WindowExpert"]
+__all__ = ["LiftExpert", "MetaWorldExpert", "ReachExpert", "WalkerExpert", "WaypointExpert", "WindowExpert"]

@@ -8,23 +8,16 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from datamodules.errors import ConfigError, UserError
 from datamodules.types import Observation
+from plp_lightning.envs.base import Step
 from plp_lightning.envs.gym.models import compiled_once
 from plp_lightning.envs.gym.spaces import ActionRange, Leaf, find_leaves, gather_images, gather_states
 from plp_lightning.envs.rendering.backend import choose_backend
-
-
-class Moved(NamedTuple):
-    """Result of a control step, a row for each episode."""
-
-    observation: Observation[np.ndarray]
-    success: np.ndarray  # (n,) bool
-    over: np.ndarray  # (n,) bool: the environment has ended the episode
 
 
 @dataclass(frozen=True)
@@ -36,6 +29,10 @@ class Recipe:
     tasks: Mapping[str, Mapping[str, Mapping[str, Any]]]  # arguments to make and reset by, by task
     success: str | float | None
     keys: tuple[str, ...] | None
+
+    def share(self) -> Share:
+        """Episodes of one process."""
+        return Share(self)
 
     def build(self, task: str) -> Any:
         """A new environment for a task.
@@ -97,14 +94,15 @@ class Share:
         ]
         return self._observed(range(len(tasks)))
 
-    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Moved:
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Take a step with actions ``(n, A)`` in the episodes ``(n,)``; those that are over stay as they are."""
-        goes = (np.isfinite(actions).all(axis=1) & ~self.over[episodes]).tolist()
+        invalid = ~np.isfinite(actions).all(axis=1)
+        goes = (~invalid & ~self.over[episodes]).tolist()
         own, solved = self._actions.own(actions), np.zeros(len(episodes), bool)
         for row, episode in enumerate(episodes.tolist()):
             if goes[row]:
                 solved[row] = self._step(own[row], episode)
-        return Moved(self._observed(episodes.tolist()), solved, self.over[episodes])
+        return Step(self._observed(episodes.tolist()), solved, invalid, self.over[episodes])
 
     def render(self, episodes: np.ndarray) -> list[np.ndarray]:
         """Pictures ``(H, W, 3)`` of the episodes ``(n,)``, of the environments' own size."""

@@ -12,9 +12,9 @@ from datamodules.errors import ConfigError
 from datamodules.settings import NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step, available_cores
-from plp_lightning.envs.gym.pool import Pool
 from plp_lightning.envs.gym.share import Recipe
 from plp_lightning.envs.gym.spaces import ActionRange, find_leaves
+from plp_lightning.envs.pool import Pool
 from plp_lightning.envs.tasks import Tasks
 
 Setup = dict[str, dict[str, Any]]
@@ -87,13 +87,11 @@ class Gymnasium(Simulator):
         return self._pool.reset(tasks, seeds)
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        moved = self._pool.step(actions, episodes)
-        invalid = ~np.isfinite(actions).all(axis=1)
-        return Step(moved.observation, moved.success & ~invalid, invalid, moved.over)
+        return self._pool.step(actions, episodes)
 
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """Pictures ``(n, H, W, 3)`` as the environment draws them, of its own size."""
-        return self._pool.render(episodes)
+        return self._pool.rows("render", episodes)
 
     @cached_property
     def _pool(self) -> Pool:

@@ -30,14 +30,14 @@ class Camera:
 
     Args:
         model: Model to draw; its offscreen buffer decides the largest image.
-        viewpoint: Place of the camera.
+        viewpoint: Place of the camera, or the name of one of the model's own.
         size: Height and width of the images, pixels; one number for both if they are square.
 
     Raises:
         UserError: If the chosen backend does not work on this machine.
     """
 
-    def __init__(self, model: mujoco.MjModel, viewpoint: Viewpoint, size: int | tuple[int, int]) -> None:
+    def __init__(self, model: mujoco.MjModel, viewpoint: Viewpoint | str, size: int | tuple[int, int]) -> None:
         height, width = (size, size) if isinstance(size, int) else size
         self._model, self._context = model, _make_context(width, height)
         self._context.make_current()
@@ -47,7 +47,8 @@ class Camera:
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 100)
         for flag in _OFF:
             self._scene.flags[flag] = 0
-        self._option, self._camera = mujoco.MjvOption(), free_camera(viewpoint)
+        self._option = mujoco.MjvOption()
+        self._camera = fixed_camera(model, viewpoint) if isinstance(viewpoint, str) else free_camera(viewpoint)
         self._frame = mujoco.MjrRect(0, 0, width, height)
         self._pixels = np.empty((height, width, 3), dtype=np.uint8)
 
@@ -77,6 +78,13 @@ def free_camera(viewpoint: Viewpoint) -> mujoco.MjvCamera:
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = viewpoint.lookat
     camera.azimuth, camera.elevation, camera.distance = viewpoint[:3]
+    return camera
+
+
+def fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
+    """A model's own camera of that name."""
+    camera = mujoco.MjvCamera()
+    camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(name).id
     return camera
 
 

@@ -10,13 +10,32 @@ import traceback
 import weakref
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from datamodules.errors import UserError
 from datamodules.types import Observation
-from plp_lightning.envs.gym.share import Moved, Recipe, Share
+from plp_lightning.envs.base import Step
+
+_TOLD = ("success", "invalid")
+
+
+class Share(Protocol):
+    """Episodes of one process. What else it has can be asked for by :meth:`Pool.rows`."""
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Begin episodes ``(E,)``; gives their first observations."""
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        """Take a step with actions ``(n, A)`` in the episodes ``(n,)``."""
+
+
+class Recipe(Protocol):
+    """All that it takes to make a share; plain data, for other processes."""
+
+    def share(self) -> Share:
+        """A new share."""
 
 
 class Pool:
@@ -25,36 +44,38 @@ class Pool:
     One share alone stays in this process.
 
     Args:
-        recipe: Makes environments.
+        recipe: Makes the shares.
         count: Number of shares.
     """
 
     def __init__(self, recipe: Recipe, count: int) -> None:
         self.shares: list[Share | Connection] = (
-            [Share(recipe)] if count == 1 else [_begun(recipe) for _ in range(count)]
+            [recipe.share()] if count == 1 else [_begun(recipe) for _ in range(count)]
         )
         weakref.finalize(self, _close, self.shares)
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Begin E episodes; gives their first observations ``(E, …)``."""
-        rows = self._rows(np.arange(len(tasks)))
+        rows = self._by_share(np.arange(len(tasks)))
         asked = {i: ([tasks[row] for row in at], [seeds[row] for row in at]) for i, at in rows.items()}
         return _shown(self._ask("reset", asked), rows)
 
-    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Moved:
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Take a step in the episodes ``(n,)``, with actions ``(n, A)``."""
-        rows = self._rows(episodes)
+        rows = self._by_share(episodes)
         parts = self._ask("step", {i: (actions[at], self._places(episodes[at])) for i, at in rows.items()})
-        success, over = (_joined({i: moved[part] for i, moved in parts.items()}, rows) for part in (1, 2))
-        return Moved(_shown({i: moved.observation for i, moved in parts.items()}, rows), success, over)
+        shown = _shown({i: part.observation for i, part in parts.items()}, rows)
+        success, invalid = (_joined({i: getattr(part, told) for i, part in parts.items()}, rows) for told in _TOLD)
+        ended = {i: part.over for i, part in parts.items() if part.over is not None}
+        return Step(shown, success, invalid, _joined(ended, rows) if ended else None)
 
-    def render(self, episodes: np.ndarray) -> np.ndarray:
-        """Pictures ``(n, H, W, 3)`` of the episodes ``(n,)``."""
-        rows = self._rows(episodes)
-        parts = self._ask("render", {i: (self._places(episodes[at]),) for i, at in rows.items()})
-        return _joined({i: np.stack(pictures) for i, pictures in parts.items()}, rows)
+    def rows(self, what: str, episodes: np.ndarray, *words: object) -> np.ndarray:
+        """Rows ``(n, …)`` of the episodes ``(n,)`` by the shares' method of this name, which also takes ``words``."""
+        rows = self._by_share(episodes)
+        parts = self._ask(what, {i: (self._places(episodes[at]), *words) for i, at in rows.items()})
+        return _joined({i: np.stack(given) for i, given in parts.items()}, rows)
 
-    def _rows(self, episodes: np.ndarray) -> dict[int, np.ndarray]:
+    def _by_share(self, episodes: np.ndarray) -> dict[int, np.ndarray]:
         """Rows of each share that has some of the episodes ``(n,)``."""
         share = episodes % len(self.shares)
         rows = {i: np.flatnonzero(share == i) for i in range(len(self.shares))}
@@ -121,7 +142,7 @@ def _serve(connection: Connection, recipe: Recipe) -> None:
     """Do what is asked for until the other end is closed, in a process of its own."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
         signal.signal(number, signal.SIG_IGN)  # the parent hears them
-    share = Share(recipe)
+    share = recipe.share()
     with contextlib.suppress(EOFError, OSError):
         while True:
             what, words = connection.recv()

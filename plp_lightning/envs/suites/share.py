@@ -1,0 +1,116 @@
+"""A share of the episodes of a simulator: all of one environment of a library are swapped through one world."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from datamodules.streams import start_generator
+from datamodules.types import Observation
+from plp_lightning.envs.base import Step
+from plp_lightning.envs.suites.pictures import Pictures
+from plp_lightning.envs.suites.variant import Variant
+from plp_lightning.envs.suites.world import Snapshot, World
+
+
+@dataclass(frozen=True)
+class WorldRecipe(ABC):
+    """All that it takes to make worlds and what they show; plain data, for other processes."""
+
+    origin: str  # Name that joins seeds, so that equal ones don't make the initial states of two domains alike
+    regions: int
+    cameras: tuple[str, ...]
+    view: str  # Camera of films
+    image_size: int
+
+    @abstractmethod
+    def build(self, name: str) -> World:
+        """A world of the library's environment of that name."""
+
+    def share(self) -> WorldShare:
+        """Episodes of one process."""
+        return WorldShare(self)
+
+
+@dataclass
+class _Running:
+    world: World
+    pictures: Pictures
+    snapshot: Snapshot
+    state: np.ndarray  # (O,): what was seen last, as are images (H, W, 3)
+    images: list[np.ndarray]
+
+
+class WorldShare:
+    """Episodes of one process, each a snapshot of its world.
+
+    Args:
+        recipe: Makes worlds.
+    """
+
+    def __init__(self, recipe: WorldRecipe) -> None:
+        self.recipe, self.episodes = recipe, list[_Running]()
+        self.worlds: dict[str, tuple[World, Pictures]] = {}  # by the library's name
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        """Begin episodes; gives their first observations ``(E, …)``."""
+        self.episodes = [self._begin(task, seed) for task, seed in zip(tasks, seeds, strict=True)]
+        return self._observed(self.episodes)
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        """Take a step with actions ``(n, A)`` in the episodes ``(n,)``; an invalid one stays as it was."""
+        running = [self.episodes[i] for i in episodes]
+        told = [self._step(one, action) for one, action in zip(running, actions.astype(np.float64), strict=True)]
+        success, invalid = np.array(told, dtype=np.bool_).reshape(-1, 2).T
+        return Step(self._observed(running), success.copy(), invalid.copy())
+
+    def demonstrate(self, episodes: np.ndarray) -> list[np.ndarray]:
+        """Actions ``(A,)`` of the library's scripted policy in the episodes ``(n,)``."""
+        return [self._in_place(self.episodes[i]).demonstrate() for i in episodes]
+
+    def render(self, episodes: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
+        """Pictures ``(H, W, 3)`` of the episodes ``(n,)``."""
+        drawn = []
+        for one in (self.episodes[i] for i in episodes):
+            drawn.append(one.pictures.film(self._in_place(one), self.recipe.view, size))
+        return drawn
+
+    def _begin(self, task: str, seed: int) -> _Running:
+        variant = Variant.of(task, self.recipe.regions)
+        world, pictures = self._world(variant.name)
+        world.clear()
+        world.begin(variant, start_generator(seed, f"{self.recipe.origin} {task}"))
+        return _Running(world, pictures, world.take(), world.observe(), pictures.images(world))
+
+    def _step(self, one: _Running, action: np.ndarray) -> tuple[bool, bool]:
+        """Whether the episode is solved and whether it is invalid."""
+        if not np.isfinite(action).all():
+            return False, True
+        world = self._in_place(one)
+        try:
+            world.act(np.clip(action, -1.0, 1.0))
+        except np.linalg.LinAlgError:  # a controller of the library's met a pose that physics had lost
+            return False, True
+        if not world.sane():
+            return False, True
+        solved, one.state, one.images = world.solved(), world.observe(), one.pictures.images(world)
+        one.snapshot = world.take()
+        return solved, False
+
+    def _in_place(self, one: _Running) -> World:
+        one.world.put(one.snapshot)
+        return one.world
+
+    def _world(self, name: str) -> tuple[World, Pictures]:
+        if name not in self.worlds:
+            world = self.recipe.build(name)
+            self.worlds[name] = world, Pictures(world.scene, self.recipe.cameras, self.recipe.image_size)
+        return self.worlds[name]
+
+    def _observed(self, running: Sequence[_Running]) -> Observation[np.ndarray]:
+        names = self.recipe.cameras
+        images = {name: np.stack([one.images[i] for one in running]) for i, name in enumerate(names)}
+        return Observation(np.stack([one.state for one in running]).astype(np.float32), images)
