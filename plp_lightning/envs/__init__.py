@@ -5,6 +5,7 @@ from plp_lightning.envs.gym.simulator import Gymnasium
 from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.suites.metaworld import MetaWorld
+from plp_lightning.envs.suites.robosuite import Robosuite
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
 from plp_lightning.envs.tabletop.simulator import Reach, Window
 from plp_lightning.envs.tasks import Tasks
@@ -19,6 +20,7 @@ __all__ = [
     "MetaWorld",
     "PointMaze",
     "Reach",
+    "Robosuite",
     "Simulator",
     "Step",
     "Tasks",

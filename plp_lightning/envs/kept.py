@@ -6,6 +6,8 @@ import hashlib
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 from datamodules.store.atomic import locked_folder, replacing
@@ -37,6 +39,20 @@ def kept(name: str, make: Callable[[], bytes]) -> bytes:
                 content = make()
                 _write(path, content)
     return content
+
+
+def origin(package: str, code: Path) -> str:
+    """Hash of a folder's code, MuJoCo's version, and names, sizes and times of a package's files."""
+    digest = hashlib.sha256(version("mujoco").encode())
+    for path in sorted(code.glob("*.py")):
+        digest.update(path.read_bytes())
+    found = find_spec(package)
+    folders = found.submodule_search_locations if found else None
+    for path in sorted(path for folder in folders or () for path in Path(folder).rglob("*.*")):
+        if path.suffix != ".pyc":
+            told = path.stat()
+            digest.update(f"{path} {told.st_size} {told.st_mtime_ns}".encode())
+    return digest.hexdigest()[:16]
 
 
 def _read(path: Path) -> bytes | None:

@@ -8,13 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
-import os
 import sys
-import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, cast
 
 import mujoco
@@ -23,29 +18,14 @@ import numpy as np
 from plp_lightning.envs.lift.compiling import binary
 from plp_lightning.envs.lift.state import Arm
 from plp_lightning.envs.lift.tasks import BLOCK_HALF, PEDESTAL_HALF, Robot
+from plp_lightning.envs.suites.quiet import quiet
 
 ARENA = "16M"  # room for contacts in each thread; an episode needs less than a tenth of it
 FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
 """Sign with which each finger's actuator follows the gripper command."""
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Let robosuite neither print nor leave the rendering backend it prefers in the environment."""
-    logger, backend = logging.getLogger("robosuite_logs"), os.environ.get("MUJOCO_GL")
-    disabled, logger.disabled = logger.disabled, True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.disabled = disabled
-        os.environ.pop("MUJOCO_GL", None)
-        if backend is not None:
-            os.environ["MUJOCO_GL"] = backend
-
-
-with _quiet():
+with quiet():
     from robosuite.controllers import load_composite_controller_config
     from robosuite.environments.manipulation.lift import Lift as RobosuiteLift
 
@@ -73,7 +53,7 @@ class PedestalLift(RobosuiteLift):  # type: ignore[misc, unused-ignore]  # robos
 
 def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
     """A robosuite environment of the task, controlled in position at 20 Hz, without any renderer; noise is in rad."""
-    with _quiet():
+    with quiet():
         controller = load_composite_controller_config(controller="BASIC", robot=robot)
         arm = controller["body_parts"]["right"]
         arm.update(type="OSC_POSITION", input_max=1, input_min=-1, output_max=[0.05] * 3, output_min=[-0.05] * 3)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
 import subprocess
 import sys
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from plp_lightning.envs.kept import kept
+from plp_lightning.envs.kept import kept, origin
 from plp_lightning.envs.lift.state import Arm
 from plp_lightning.envs.lift.tasks import Robot
 from plp_lightning.envs.rendering.scene import HIDDEN
@@ -39,7 +37,7 @@ class LiftModel:
     @cache
     def build(cls, robot: Robot) -> LiftModel:
         """The robot's model, one in a process: stepping only reads it. It is kept on disk once it was built (8 s)."""
-        content = kept(f"lift_{robot}_{_origin()}.npz", partial(_built_apart, robot))
+        content = kept(f"lift_{robot}_{origin('robosuite', Path(__file__).parent)}.npz", partial(_built_apart, robot))
         with np.load(io.BytesIO(content)) as file:
             parts: dict[str, Any] = {name: file[name] if file[name].ndim else int(file[name]) for name in file.files}
         model = _read(parts["model"].tobytes())
@@ -81,17 +79,3 @@ def _apart(module: str, *words: str, given: bytes = b"") -> bytes | None:
         return subprocess.run(command, input=given, env=os.environ | paths, capture_output=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):
         return None
-
-
-def _origin() -> str:
-    """Hash of what a model is built from: this code, MuJoCo, and place, sizes and times of robosuite's files."""
-    digest = hashlib.sha256(mujoco.__version__.encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
-    robosuite = find_spec("robosuite")
-    folders = robosuite.submodule_search_locations if robosuite else None
-    for path in sorted(path for folder in folders or () for path in Path(folder).rglob("*.*")):
-        if path.suffix != ".pyc":
-            told = path.stat()
-            digest.update(f"{path} {told.st_size} {told.st_mtime_ns}".encode())
-    return digest.hexdigest()[:16]

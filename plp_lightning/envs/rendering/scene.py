@@ -12,15 +12,15 @@ import numpy as np
 
 MOST_FACES = 600  # a mesh with more triangles is decimated
 CELL = 0.02  # edge of the grid cells in which a mesh's vertices are merged, m: about a pixel in an image of 64 × 64
+LEAST_VERTICES = 4  # of a mesh that MuJoCo compiles: those of a tetrahedron
 HIDDEN = 5  # a group that is not drawn
 
 
 def lighten(spec: mujoco.MjSpec, unseen: Collection[str], image_size: int) -> mujoco.MjModel:
     """Compile a model that is drawn fast, without the bodies ``unseen``, up to images ``(size, size, 3)``."""
     shipped = spec.compile()
-    heavy = {shipped.mesh(i).name for i in range(shipped.nmesh) if shipped.mesh_facenum[i] > MOST_FACES}
-    for name in heavy:
-        _add_light_mesh(spec, shipped, name)
+    large = [shipped.mesh(i).name for i in range(shipped.nmesh) if shipped.mesh_facenum[i] > MOST_FACES]
+    heavy = {name for name in large if _add_light_mesh(spec, shipped, name)}
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.meshname in heavy:
             _draw_light(geom)
@@ -53,8 +53,11 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, cell: float) -> tuple[np.n
     return sums / np.bincount(merged)[:, None], corners[alive][np.sort(first)]
 
 
-def _add_light_mesh(spec: mujoco.MjSpec, shipped: mujoco.MjModel, name: str) -> None:
-    """Add a decimated twin of a mesh; a mesh that is edited in place keeps its old normals."""
+def _add_light_mesh(spec: mujoco.MjSpec, shipped: mujoco.MjModel, name: str) -> bool:
+    """Add a decimated twin of a mesh, unless nothing is left of one so small, as the answer says.
+
+    A mesh that is edited in place keeps its old normals.
+    """
     mesh = shipped.mesh(name).id
     vertex, corner = shipped.mesh_vertadr[mesh], shipped.mesh_faceadr[mesh]
     # The compiler moves a mesh into the frame of its inertia; geoms in the spec know the frame of the file.
@@ -63,9 +66,12 @@ def _add_light_mesh(spec: mujoco.MjSpec, shipped: mujoco.MjModel, name: str) -> 
     turned = shipped.mesh_vert[vertex : vertex + shipped.mesh_vertnum[mesh]].astype(float) @ rotation.reshape(3, 3).T
     faces = shipped.mesh_face[corner : corner + shipped.mesh_facenum[mesh]]
     vertices, faces = decimate(turned + shipped.mesh_pos[mesh], faces, CELL)
+    if len(vertices) < LEAST_VERTICES or len(faces) < LEAST_VERTICES:
+        return False
     twin = spec.add_mesh(name=f"{name}_light")
     twin.uservert, twin.userface = vertices.ravel().tolist(), faces.astype(np.int32).ravel().tolist()
     twin.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    return True
 
 
 def _draw_light(geom: mujoco.MjsGeom) -> None:

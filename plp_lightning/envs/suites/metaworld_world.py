@@ -93,7 +93,8 @@ class MetaWorldWorld(World):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that actions are clipped
             wanted = self.policy.get_action(self.env._last_stable_obs.copy())  # which it writes to
-        return np.clip(wanted, -1.0, 1.0).astype(np.float32)
+        clipped: np.ndarray = np.clip(wanted, -1.0, 1.0)
+        return clipped.astype(np.float32)
 
     def _look(self) -> None:
         self.env._last_stable_obs = np.clip(self.env._get_obs(), self.low, self.high)

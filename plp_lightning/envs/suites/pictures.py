@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import atexit
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from weakref import finalize
 
 import mujoco
@@ -20,14 +20,14 @@ class Pictures:
     """Draws what a world holds.
 
     Args:
-        scene: Gives the world's model as a specification.
+        world: What is drawn.
         cameras: Cameras of the observations.
         size: Height and width of their images, pixels.
     """
 
-    def __init__(self, scene: Callable[[], mujoco.MjSpec], cameras: Sequence[str], size: int) -> None:
-        self._scene, self._size = scene, (0, 0)
-        light = upright(_seen(lighten(scene(), (), size))) if cameras else None
+    def __init__(self, world: World, cameras: Sequence[str], size: int) -> None:
+        self._size = (0, 0)
+        light = upright(_seen(lighten(world.scene(), (), size), world.colliding)) if cameras else None
         self._views = [_Drawing(light, camera, (size, size)) for camera in cameras] if light is not None else []
 
     def images(self, world: World) -> list[np.ndarray]:
@@ -37,7 +37,7 @@ class Pictures:
     def film(self, world: World, camera: str, size: tuple[int, int]) -> np.ndarray:
         """A picture ``(H, W, 3)`` of any size, pixels."""
         if self._size != size:
-            model = upright(_seen(self._scene().compile()))
+            model = upright(_seen(world.scene().compile(), world.colliding))
             model.vis.quality.offsamples = 0  # smooth edges would take more than twice the time
             model.vis.global_.offheight, model.vis.global_.offwidth = size
             self._film, self._size = _Drawing(model, camera, size), size
@@ -74,7 +74,9 @@ def upright(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def _seen(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Hide, in place, all sites: they mark goals and handles."""
+def _seen(model: mujoco.MjModel, colliding: int | None) -> mujoco.MjModel:
+    """Hide, in place, all sites, which mark goals and handles, and what is there to collide alone."""
+    if colliding is not None:
+        model.geom_group[model.geom_group == colliding] = HIDDEN
     model.site_group[:] = HIDDEN
     return model

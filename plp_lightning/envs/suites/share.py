@@ -107,7 +107,7 @@ class WorldShare:
     def _world(self, name: str) -> tuple[World, Pictures]:
         if name not in self.worlds:
             world = self.recipe.build(name)
-            self.worlds[name] = world, Pictures(world.scene, self.recipe.cameras, self.recipe.image_size)
+            self.worlds[name] = world, Pictures(world, self.recipe.cameras, self.recipe.image_size)
         return self.worlds[name]
 
     def _observed(self, running: Sequence[_Running]) -> Observation[np.ndarray]:

@@ -38,6 +38,8 @@ class World(ABC):
         owners: Its objects that have attributes of an episode.
     """
 
+    colliding: int | None = None  # group of geoms that collide, where those to be seen are in others
+
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, owners: tuple[object, ...]) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.model, self.data, self.owners = model, data, owners

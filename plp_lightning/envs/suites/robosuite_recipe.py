@@ -1,0 +1,23 @@
+"""How worlds of robosuite are made; robosuite itself is imported where one is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from plp_lightning.envs.suites.setup import Setup
+from plp_lightning.envs.suites.share import WorldRecipe
+from plp_lightning.envs.suites.world import World
+
+
+@dataclass(frozen=True)
+class RobosuiteRecipe(WorldRecipe):
+    """Worlds of robosuite that show these keys."""
+
+    setup: Setup
+    spread: float
+    keys: tuple[str, ...]
+
+    def build(self, name: str) -> World:
+        from plp_lightning.envs.suites.robosuite_world import RobosuiteWorld
+
+        return RobosuiteWorld(self.setup, name, self.spread, self.keys)

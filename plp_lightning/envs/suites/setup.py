@@ -1,0 +1,17 @@
+"""Settings of an environment of robosuite, apart from robosuite: simulators are built without it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Settings of an environment of robosuite; plain data, for other processes."""
+
+    robots: tuple[str, ...]
+    controller: str | None
+    control_hz: int
+    joint_noise: float
+    make: tuple[tuple[str, Any], ...]  # further arguments by name
