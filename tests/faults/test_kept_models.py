@@ -10,16 +10,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import NoReturn
 
-import mujoco
 import numpy as np
 import pytest
 from command import processes
 
-from plp_lightning.envs.kept import cache_folder, kept
+from plp_lightning.envs import kept as keeping
+from plp_lightning.envs.kept import cache_folder, kept, origin
 from plp_lightning.envs.lift import building
 from plp_lightning.envs.lift import model as lift
 from plp_lightning.envs.lift.model import LiftModel
 
+CODE = Path(lift.__file__).parent
 CONTENT = bytes(range(256)) * 40
 
 
@@ -157,23 +158,23 @@ def test_a_model_that_was_kept_is_the_model_that_is_compiled(folder: Path) -> No
 
 
 def test_models_of_another_mujoco_have_other_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = lift._origin()
-    assert lift._origin() == before
-    monkeypatch.setattr(mujoco, "__version__", "0.0")
-    assert lift._origin() != before
+    before = origin("robosuite", CODE)
+    assert origin("robosuite", CODE) == before
+    monkeypatch.setattr(keeping, "version", lambda package: "0.0")
+    assert origin("robosuite", CODE) != before
 
 
 def test_models_of_another_robosuite_have_other_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = {lift._origin()}
+    names = {origin("robosuite", CODE)}
     (tmp_path / "robot.xml").write_text("one")
-    monkeypatch.setattr(lift, "find_spec", lambda name: SimpleNamespace(submodule_search_locations=[str(tmp_path)]))
-    names.add(lift._origin())
+    monkeypatch.setattr(keeping, "find_spec", lambda name: SimpleNamespace(submodule_search_locations=[str(tmp_path)]))
+    names.add(origin("robosuite", CODE))
     (tmp_path / "robot.xml").write_text("other")
-    names.add(lift._origin())
+    names.add(origin("robosuite", CODE))
     (tmp_path / "robot.pyc").write_text("python's own")
-    names.add(lift._origin())
-    monkeypatch.setattr(lift, "find_spec", lambda name: None)
-    names.add(lift._origin())
+    names.add(origin("robosuite", CODE))
+    monkeypatch.setattr(keeping, "find_spec", lambda name: None)
+    names.add(origin("robosuite", CODE))
     assert len(names) == 4
 
 

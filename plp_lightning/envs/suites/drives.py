@@ -8,8 +8,6 @@ import numpy as np
 
 from plp_lightning.envs.suites.torques import JOINTS, OPERATIONAL, Drive
 
-NONE = np.zeros(0)
-
 
 def drives(env: Any) -> tuple[Drive, ...] | None:
     """A drive of each arm, once their goals are set; None if a part moves by a law that is not compiled.
@@ -36,38 +34,41 @@ def _drive(robot: Any, part: str, controller: Any) -> Drive | None:
 def _hand(robot: Any, part: str, controller: Any) -> Drive | None:
     if not controller.uncoupling or controller.interpolator_pos is not None or controller.interpolator_ori is not None:
         return None
-    position, rotation = controller.goal_pos, controller.goal_ori
+    model, base = robot.sim.model, -1
     if controller.input_ref_frame == "base":
-        position = controller.origin_pos + controller.origin_ori @ position
-        rotation = controller.origin_ori @ rotation
-    site = robot.sim.model.site_name2id(controller.ref_name)
-    return _made(robot, part, controller, OPERATIONAL, int(site), position, rotation, True)
+        base = int(model.site_name2id(f"{controller.naming_prefix}{controller.part_name}_center"))
+    site, goal = int(model.site_name2id(controller.ref_name)), (controller.goal_pos, controller.goal_ori)
+    return _made(robot, part, controller, OPERATIONAL, (site, base), goal, True)
 
 
 def _joints(robot: Any, part: str, controller: Any) -> Drive | None:
     if controller.interpolator is not None:
         return None
     compensated = bool(controller.use_torque_compensation)
-    return _made(robot, part, controller, JOINTS, -1, controller.goal_qpos, np.eye(3), compensated)
+    return _made(robot, part, controller, JOINTS, (-1, -1), (controller.goal_qpos, np.eye(3)), compensated)
 
 
 def _made(
-    robot: Any, part: str, controller: Any, law: int, site: int, goal: np.ndarray, turn: np.ndarray, compensated: bool
+    robot: Any,
+    part: str,
+    controller: Any,
+    law: int,
+    sites: tuple[int, int],
+    goal: tuple[np.ndarray, np.ndarray],
+    compensated: bool,
 ) -> Drive:
-    actuators = np.array(robot._ref_actuators_indexes_dict[part], np.int64)
-    numbers = (controller.kp, controller.kd, goal)
-    stiffness, damping, position = (np.array(part, np.float64) for part in numbers)
+    model, actuators = robot.sim.model, np.array(robot._ref_actuators_indexes_dict[part], np.int64)
+    body = model.site_bodyid[sites[1]] if sites[1] >= 0 else 0
     return Drive(
         law,
-        site,
+        *sites,
+        bool(model.body_weldid[body] != 0),
         np.array(controller.qpos_index, np.int64),
         np.array(controller.qvel_index, np.int64),
         actuators,
-        np.ascontiguousarray(robot.sim.model.actuator_ctrlrange[actuators], np.float64),
-        stiffness,
-        damping,
-        position,
-        np.ascontiguousarray(turn, np.float64),
+        np.ascontiguousarray(model.actuator_ctrlrange[actuators], np.float64),
+        *(np.array(gain, np.float64) for gain in (controller.kp, controller.kd)),
+        *(np.ascontiguousarray(part, np.float64) for part in goal),
         np.array(controller.initial_joint, np.float64),
         compensated,
     )

@@ -22,37 +22,58 @@ class Drive(NamedTuple):
     """What a controller wants of an arm with n joints in a control step."""
 
     law: int  # OPERATIONAL or JOINTS
-    site: int  # the hand, for the former
+    site: int  # the hand, for the former, as is base: in whose frame the goal stands still
+    base: int
+    moving: bool  # whether the base moves
     qpos: np.ndarray  # (n,) places of the joints, as are dof and actuators
     dof: np.ndarray
     actuators: np.ndarray
     limits: np.ndarray  # (n, 2) least and greatest control
     stiffness: np.ndarray  # (6,) or (n,), as is damping
     damping: np.ndarray
-    position: np.ndarray  # (3,) goal of the hand, m; or (n,) of the joints, rad
-    rotation: np.ndarray  # (3, 3) goal of the hand
+    position: np.ndarray  # (3,) goal of the hand, m, from its base; or (n,) of the joints, rad
+    rotation: np.ndarray  # (3, 3) goal of the hand, from its base
     rest: np.ndarray  # (n,) posture to which motion that the hand does not feel is drawn, rad
     compensated: bool  # whether joints' torques are those of accelerations, and gravity is added
 
 
 @inner
-def hand_torques(arm: Drive, work: Workspace, mass: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Torques ``(n, 1)`` that draw the hand to its goal."""
+def twist(work: Workspace, site: int) -> np.ndarray:
+    """Velocity ``(6, 1)`` of a site, linear above angular, whose Jacobian stays in the workspace."""
     linear, angular = work.jacobian[:3], work.jacobian[3:]
-    mj_jac_site(work.desk.model, work.desk.data, linear.ctypes.data, angular.ctypes.data, arm.site)
-    jacobian = work.jacobian[:, arm.dof]
-    pull, velocity = np.zeros((6, 1)), product(jacobian, speed)
+    mj_jac_site(work.desk.model, work.desk.data, linear.ctypes.data, angular.ctypes.data, site)
+    return product(work.jacobian, work.qvel.reshape(-1, 1))
+
+
+@inner
+def error(arm: Drive, work: Workspace) -> np.ndarray:
+    """Way ``(6, 1)`` of the hand to its goal: m above rad."""
+    far, frame = np.zeros((6, 1)), np.eye(3)
+    if arm.base >= 0:
+        frame[:] = work.site_rotation[arm.base].reshape(3, 3)
+    position, wanted = product(frame, arm.position.reshape(3, 1)), product(frame, arm.rotation)
     rotation = work.site_rotation[arm.site].reshape(3, 3)
     for axis in range(3):
-        pull[axis, 0] = arm.position[axis] - work.site_pos[arm.site, axis]
+        far[axis, 0] = position[axis, 0] - work.site_pos[arm.site, axis]
+        if arm.base >= 0:
+            far[axis, 0] += work.site_pos[arm.base, axis]
         a, b = (axis + 1) % 3, (axis + 2) % 3
         for column in range(3):
-            turn = rotation[a, column] * arm.rotation[b, column] - rotation[b, column] * arm.rotation[a, column]
-            pull[3 + axis, 0] += 0.5 * turn
+            turn = rotation[a, column] * wanted[b, column] - rotation[b, column] * wanted[a, column]
+            far[3 + axis, 0] += 0.5 * turn
+    return far
+
+
+@inner
+def hand_torques(arm: Drive, work: Workspace, mass: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Torques ``(n, 1)`` that draw the hand to its goal."""
+    pull = error(arm, work)
+    velocity = -twist(work, arm.base) if arm.moving else np.zeros((6, 1))
+    velocity += twist(work, arm.site)
     for i in range(6):
         pull[i, 0] = arm.stiffness[i] * pull[i, 0] - arm.damping[i] * velocity[i, 0]
     away = (arm.rest - work.qpos[arm.qpos]).reshape(-1, 1)
-    return combine(mass, jacobian, pull, REST_STIFFNESS * away - REST_DAMPING * speed)
+    return combine(mass, work.jacobian[:, arm.dof], pull, REST_STIFFNESS * away - REST_DAMPING * speed)
 
 
 @inner
