@@ -57,7 +57,9 @@ def library_env(setup: Setup, name: str) -> Any:
             controllers = [_controller(robot, setup.controller) for robot in robots]
             words = {"robots": robots, "controller_configs": controllers, "control_freq": setup.control_hz}
             return robosuite.make(name, **words, **fixed, **dict(setup.make))
-    except (AssertionError, TypeError, ValueError, KeyError) as error:
+    except ConfigError:
+        raise
+    except Exception as error:  # assertions, and whatever else its constructors meet
         told = f"robosuite makes no {name} with {', '.join(robots)}: {' '.join(str(error).split())[:200]}"
         raise ConfigError(f"{told}; choose other robots, another controller or other words to make it") from error
 
