@@ -24,6 +24,7 @@ from plp_lightning.cli import config
 from plp_lightning.cli.classes import ALLOWED_IMPORTS, defaults, find_class
 from plp_lightning.cli.config import BASE, DataSettings, allow_imports, build_parser, parse, resolve
 from plp_lightning.cli.layers import completed, insert, overlay
+from plp_lightning.envs.suites.simulator import Suite
 from plp_lightning.envs.tabletop.simulator import Tabletop
 from plp_lightning.methods.optimization import FusedAdamW, LinearDecay
 from plp_lightning.runs.experiment import Experiment
@@ -97,6 +98,8 @@ def test_every_experiment_runs_in_miniature(path: Path, tmp_path: Path) -> None:
     words += ["--policy.image_encoder.channels", "[4, 8]", "--policy.image_encoder.features", "16"]
     for name, domain in parse(words).domains.items():
         words += [f"--domains.{name}.simulator.horizon", "5"]
+        if isinstance(domain.simulator, Suite):  # whose processes would take seconds to begin
+            words += [f"--domains.{name}.simulator.threads", "1"]
         if isinstance(domain.simulator, Tabletop):
             words += [f"--domains.{name}.simulator.image_size", "16"]
     experiment = parse(words)

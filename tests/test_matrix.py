@@ -21,6 +21,7 @@ from test_configs import EXPERIMENTS, invent_demonstrations
 
 from plp_lightning.callbacks.preemption import Preemption
 from plp_lightning.cli.config import parse
+from plp_lightning.envs.suites.simulator import Suite
 from plp_lightning.envs.tabletop.simulator import Tabletop
 
 SMALL_EYES = "policy: {init_args: {image_encoder: {channels: [4, 8], features: 16}}}\n"
@@ -51,6 +52,8 @@ def miniature(method: Path, experiment: Path, root: Path) -> list[str]:
     words += ["--run_root", str(root), "--trainer.max_epochs", "1", "--evaluation.final_episodes", "1"]
     for name, domain in parse(["--config", str(experiment)]).domains.items():
         words += [f"--domains.{name}.simulator.horizon", "3"]
+        if isinstance(domain.simulator, Suite):  # whose processes would take seconds to begin
+            words += [f"--domains.{name}.simulator.threads", "1"]
         if isinstance(domain.simulator, Tabletop):
             words += [f"--domains.{name}.simulator.image_size", "16"]
     return words

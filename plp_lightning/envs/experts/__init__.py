@@ -2,7 +2,16 @@
 
 from plp_lightning.envs.experts.lift import LiftExpert
 from plp_lightning.envs.experts.metaworld import MetaWorldExpert
+from plp_lightning.envs.experts.robosuite import RobosuiteExpert
 from plp_lightning.envs.experts.tabletop import ReachExpert, WindowExpert
 from plp_lightning.envs.experts.waypoint import WalkerExpert, WaypointExpert
 
-__all__ = ["LiftExpert", "MetaWorldExpert", "ReachExpert", "WalkerExpert", "WaypointExpert", "WindowExpert"]
+__all__ = [
+    "LiftExpert",
+    "MetaWorldExpert",
+    "ReachExpert",
+    "RobosuiteExpert",
+    "WalkerExpert",
+    "WaypointExpert",
+    "WindowExpert",
+]

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from datamodules.errors import ConfigError
 from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import DomainSpec, ObservationKey
@@ -38,6 +40,7 @@ class Robosuite(Suite):
         cameras: The library's, by name: ``agentview``, ``robot0_eye_in_hand``, …
         regions: Parts into which the ranges of places are cut along x and along y.
         spread: Factor on the lengths of these ranges.
+        turned: Turn objects at random, as the library does.
         joint_noise: Standard deviation of the initial joint angles, rad.
         control_hz: Control steps in a second.
         make: Further arguments of the library's environments, such as ``{table_friction: [1.0, 0.005, 0.0001]}``.
@@ -61,6 +64,7 @@ class Robosuite(Suite):
         cameras: list[str] | None = None,
         regions: PositiveInt = 2,
         spread: PositiveFloat = 1.0,
+        turned: bool = True,
         joint_noise: NonNegativeFloat = 0.02,
         control_hz: PositiveInt = 20,
         make: dict[str, Any] | None = None,
@@ -73,7 +77,7 @@ class Robosuite(Suite):
         robots = tuple(name.strip() for name in robot.split("+"))
         self.setup = Setup(robots, controller, control_hz, joint_noise, tuple(sorted((make or {}).items())))
         self.state, self.objects, self.regions, self.spread = state, objects, regions, spread
-        self.horizon, self.threads = horizon, threads
+        self.horizon, self.threads, self.turned = horizon, threads, turned
 
     def spec(self, name: str) -> DomainSpec:
         """The keys of the state, images ``(H, W, 3)`` by camera, and the controller's actions ``(A,)``."""
@@ -81,9 +85,13 @@ class Robosuite(Suite):
         env = "robosuite " + ", ".join(filter(None, [" + ".join(self.setup.robots), *self._departures()]))
         return DomainSpec(name, keys, self._facts.action_size, float(self.setup.control_hz), env)
 
-    def shared_position(self, state: Sequence[Any]) -> Any:
+    def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position ``(N, 3)`` of the first robot's hand in the world, m."""
-        return state[:, self.spec("").columns(["robot0_eef_pos"])]  # type: ignore[call-overload]
+        return state[:, self.spec("").columns(["robot0_eef_pos"])]
+
+    def told(self, episodes: np.ndarray, keys: Sequence[str]) -> np.ndarray:
+        """All that the library shows under these keys in the episodes ``(n,)``, ``(n, O)``: for experts."""
+        return self._pool.rows("told", episodes, tuple(keys))
 
     def _departures(self) -> list[str]:
         """Settings that change what is seen or done, where they are not usual."""
@@ -91,6 +99,7 @@ class Robosuite(Suite):
         cut = any(variant.cell != (None, None) for variant in self.variants)
         told = [f"joint noise {setup.joint_noise} rad", *(f"{name} {value}" for name, value in setup.make)]
         told += [f"spread {self.spread:g}"] * (self.spread != 1.0) + [f"{self.regions} regions"] * cut
+        told += ["objects not turned"] * (not self.turned)
         return [setup.controller or "", *told, *self.cameras]
 
     @cached_property
@@ -117,4 +126,6 @@ class Robosuite(Suite):
 
         view, origin = (*self.cameras, VIEW)[0], " ".join(("robosuite", *self.setup.robots, *self.cameras))
         keys = tuple(key.name for key in self._state_keys)
-        return RobosuiteRecipe(origin, self.regions, self.cameras, view, self.image_size, self.setup, self.spread, keys)
+        return RobosuiteRecipe(
+            origin, self.regions, self.cameras, view, self.image_size, self.setup, self.spread, self.turned, keys
+        )

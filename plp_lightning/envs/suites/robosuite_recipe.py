@@ -15,9 +15,10 @@ class RobosuiteRecipe(WorldRecipe):
 
     setup: Setup
     spread: float
+    turned: bool
     keys: tuple[str, ...]
 
     def build(self, name: str) -> World:
         from plp_lightning.envs.suites.robosuite_world import RobosuiteWorld
 
-        return RobosuiteWorld(self.setup, name, self.spread, self.keys)
+        return RobosuiteWorld(self.setup, name, self.spread, self.keys, self.turned)

@@ -88,15 +88,20 @@ class RobosuiteWorld(World):
         name: The library's name of it.
         spread: Factor on the ranges in which it places objects.
         keys: Names of what is seen, in order.
+        turned: Let objects be turned at random.
     """
 
     colliding = 0  # robosuite's group of geoms that collide; those to be seen are in another
 
-    def __init__(self, setup: Setup, name: str, spread: float = 1.0, keys: Sequence[str] = ()) -> None:
+    def __init__(
+        self, setup: Setup, name: str, spread: float = 1.0, keys: Sequence[str] = (), turned: bool = True
+    ) -> None:
         self.env = library_env(setup, name)
         self.keys, self.sim = keys, self.env.sim
         self.substeps = int(self.env.control_timestep / self.env.model_timestep)
         self.ranges = [(sampler, _spread(sampler, spread)) for sampler in _samplers(self.env)]
+        for sampler, _ in self.ranges if not turned else ():
+            sampler.rotation = 0.0
         grippers = [gripper for robot in self.env.robots for gripper in robot.gripper.values()]
         model, data = self.sim.model._model, self.sim.data._data
         self.work = Workspace.of(model, data)
@@ -140,8 +145,12 @@ class RobosuiteWorld(World):
             env.reward(action)  # in which some environments note what was done
 
     def observe(self) -> np.ndarray:
-        seen = self.sensed()
-        return np.concatenate([np.ravel(seen[key]) for key in self.keys]) if self.keys else np.zeros(0)
+        self.env.last_sensed = self.sensed()  # while what sensors read belongs to this episode
+        return self.told(tuple(self.keys))
+
+    def told(self, keys: tuple[str, ...]) -> np.ndarray:
+        seen = self.env.last_sensed
+        return np.concatenate([seen[key] for key in keys]) if keys else np.zeros(0)
 
     def sensed(self) -> dict[str, np.ndarray]:
         """All that the environment's sensors show, by name."""
@@ -150,7 +159,9 @@ class RobosuiteWorld(World):
         for name, observable in sensors.items():
             seen[name] = observable._sensor(seen)
         about = [np.ravel(seen[name]) for name, found in sensors.items() if found.modality == OBJECT]
-        return {name: np.ravel(seen[name]) for name in sensors} | ({OBJECT: np.concatenate(about)} if about else {})
+        return {name: np.array(seen[name]).ravel() for name in sensors} | (
+            {OBJECT: np.concatenate(about)} if about else {}
+        )
 
     def solved(self) -> bool:
         return bool(self.env._check_success())

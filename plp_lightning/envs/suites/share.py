@@ -71,6 +71,10 @@ class WorldShare:
         """Actions ``(A,)`` of the library's scripted policy in the episodes ``(n,)``."""
         return [self._in_place(self.episodes[i]).demonstrate() for i in episodes]
 
+    def told(self, episodes: np.ndarray, keys: tuple[str, ...]) -> list[np.ndarray]:
+        """All ``(O,)`` that the library shows under these keys in the episodes ``(n,)``."""
+        return [self._in_place(self.episodes[i]).told(keys) for i in episodes]
+
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
         """Pictures ``(H, W, 3)`` of the episodes ``(n,)``."""
         drawn = []
@@ -83,7 +87,8 @@ class WorldShare:
         world, pictures = self._world(variant.name)
         world.clear()
         world.begin(variant, start_generator(seed, f"{self.recipe.origin} {task}"))
-        return _Running(world, pictures, world.take(), world.observe(), pictures.images(world))
+        state, images = world.observe(), pictures.images(world)
+        return _Running(world, pictures, world.take(), state, images)
 
     def _step(self, one: _Running, action: np.ndarray) -> tuple[bool, bool]:
         """Whether the episode is solved and whether it is invalid."""

@@ -65,6 +65,10 @@ class World(ABC):
     def scene(self) -> mujoco.MjSpec:
         """The model as a specification, for pictures."""
 
+    def told(self, keys: tuple[str, ...]) -> np.ndarray:
+        """All ``(O,)`` that the library shows under these keys, whether they are seen or not."""
+        raise NotImplementedError
+
     def demonstrate(self) -> np.ndarray:
         """Action ``(A,)`` of the library's scripted policy."""
         raise NotImplementedError
