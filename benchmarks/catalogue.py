@@ -42,6 +42,8 @@ CPU = {
     "gym_reacher": Benchmark("benchmarks.gym_episodes", arguments=("Reacher-v5", 50, 20), short=True),
     "gym_cheetah": Benchmark("benchmarks.gym_episodes", arguments=("HalfCheetah-v5", 200, 8)),
     "gym_fetch": Benchmark("benchmarks.gym_episodes", arguments=("gymnasium_robotics:FetchReach-v4", 50, 4)),
+    "metaworld": Benchmark("benchmarks.suites", "metaworld"),
+    "robosuite": Benchmark("benchmarks.suites", "robosuite"),
     "images": Benchmark("benchmarks.images", short=True),
     "mujoco_rollout": Benchmark("benchmarks.mujoco_rollout"),
     "contextual": Benchmark("benchmarks.contextual"),

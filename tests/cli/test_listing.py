@@ -26,7 +26,8 @@ def test_every_page_is_listed_with_a_line(kind: str, folder: str) -> None:
 
 def test_classes_are_listed_by_the_names_that_pages_have() -> None:
     assert {"Gymnasium", "Lift", "LinearPoint", "PointMaze", "Reach", "WalkerMaze", "Window"} <= {*listed("simulators")}
-    assert not {"Simulator", "Tabletop"} & {*listed("simulators")}
+    assert {"MetaWorld", "Robosuite"} <= {*listed("simulators")}
+    assert not {"Simulator", "Tabletop", "Suite"} & {*listed("simulators")}
     assert "L_MMD" in listed("terms")["MMD"]
     assert not [told for kind in KINDS if kind != "tasks" for told in listed(kind).values() if ":func:" in told]
 

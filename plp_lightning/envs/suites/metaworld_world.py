@@ -22,6 +22,8 @@ from plp_lightning.envs.suites.variant import Variant
 from plp_lightning.envs.suites.world import World
 
 NAMES = tuple(ALL_V3_ENVIRONMENTS)
+QUATERNIONS = {*range(7, 11), *range(14, 18), *range(25, 29), *range(32, 36)}
+"""Columns of the library's observation that hold objects' orientations."""
 UNSEEN_REWARDS = ("tolerance", "hamacher_product")  # parts of rewards, which take longer than physics
 
 
@@ -50,6 +52,9 @@ class MetaWorldWorld(World):
         vars(env).pop("sawyer_observation_space", None)  # is made anew, with a goal
         env._gripper_caging_reward = lambda *args, **kwargs: 0.0
         policies: dict[str, Any] = {**ENV_POLICY_MAP}
+        if not QUATERNIONS & {*columns}:
+            unseen = np.zeros_like(env._get_quat_objects())  # decide nothing but rewards, and take as long as physics
+            env._get_quat_objects = lambda: unseen
         self.env, self.columns, self.policy = env, [*columns], policies[name]()
         space = env.sawyer_observation_space
         self.low, self.high, self.places = space.low, space.high, env._random_reset_space

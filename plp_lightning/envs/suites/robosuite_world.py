@@ -91,6 +91,7 @@ class RobosuiteWorld(World):
         turned: Let objects be turned at random.
     """
 
+    rearranges = True  # Wipe takes away what is wiped
     colliding = 0  # robosuite's group of geoms that collide; those to be seen are in another
 
     def __init__(

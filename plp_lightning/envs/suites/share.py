@@ -102,7 +102,7 @@ class WorldShare:
         if not world.sane():
             return False, True
         solved, one.state, one.images = world.solved(), world.observe(), one.pictures.images(world)
-        one.snapshot = world.take()
+        one.snapshot = world.take(one.snapshot)
         return solved, False
 
     def _in_place(self, one: _Running) -> World:

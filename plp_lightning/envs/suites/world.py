@@ -7,7 +7,6 @@ the reset gave to bodies of the model, and the attributes of the library's own o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from copy import copy
 from typing import Any, NamedTuple
 
@@ -38,11 +37,14 @@ class World(ABC):
         owners: Its objects that have attributes of an episode.
     """
 
+    rearranges = False  # whether steps, and not resets alone, write to the model
     colliding: int | None = None  # group of geoms that collide, where those to be seen are in others
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, owners: tuple[object, ...]) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.model, self.data, self.owners = model, data, owners
+        self._places = tuple(getattr(model, name) for name in PLACES)
+        self._moving = data.qpos, data.qvel
         self._blank = self.take()
 
     @abstractmethod
@@ -78,16 +80,18 @@ class World(ABC):
         own = tuple({name: _own(value) for name, value in had.items()} for had in self._blank.attributes)
         self.put(self._blank._replace(attributes=own))
 
-    def take(self) -> Snapshot:
-        """The episode that the environment holds."""
+    def take(self, before: Snapshot | None = None) -> Snapshot:
+        """The episode that the environment holds, which was ``before`` a step ago."""
         state = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, state, STATE)
         attributes = tuple(dict(vars(owner)) for owner in self.owners)
-        return Snapshot(state, tuple(array.copy() for array in self._places()), attributes)
+        if before is None or self.rearranges:
+            return Snapshot(state, tuple(array.copy() for array in self._places), attributes)
+        return Snapshot(state, before.places, attributes)
 
     def put(self, episode: Snapshot) -> None:
         """Let the environment hold an episode."""
-        for array, kept in zip(self._places(), episode.places, strict=True):
+        for array, kept in zip(self._places, episode.places, strict=True):
             array[:] = kept
         for owner, attributes in zip(self.owners, episode.attributes, strict=True):
             vars(owner).clear()
@@ -96,10 +100,7 @@ class World(ABC):
 
     def sane(self) -> bool:
         """True if the physical state is finite and of a size that physics can have."""
-        return bool((np.abs(self.data.qpos) < DIVERGED).all() and (np.abs(self.data.qvel) < DIVERGED).all())
-
-    def _places(self) -> Iterator[np.ndarray]:
-        return (getattr(self.model, name) for name in PLACES)
+        return all(bool(np.abs(part).max(initial=0.0) < DIVERGED) for part in self._moving)
 
 
 def _own(value: Any) -> Any:
