@@ -17,8 +17,8 @@ from benchmarks.episodes import Together, compared, hold  # noqa: E402
 from benchmarks.measuring import Options, Row  # noqa: E402
 from plp_lightning.envs.lift.building import robosuite_env  # noqa: E402
 from plp_lightning.envs.lift.osc import SUBSTEPS as LIFT_SUBSTEPS  # noqa: E402
+from plp_lightning.envs.lift.robots import Robot  # noqa: E402
 from plp_lightning.envs.lift.simulator import Lift  # noqa: E402
-from plp_lightning.envs.lift.tasks import Robot  # noqa: E402
 from plp_lightning.envs.maze.base import Maze  # noqa: E402
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze  # noqa: E402
 from plp_lightning.envs.tabletop.physics import SUBSTEPS as TABLETOP_SUBSTEPS  # noqa: E402

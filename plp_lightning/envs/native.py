@@ -5,6 +5,7 @@ Compiled code holds no lock of the interpreter, so threads that run it use all c
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
@@ -27,6 +28,15 @@ DIVERGED = 1e6  # a state beyond this in any coordinate has blown up, well befor
 _names, _folder = ("libmujoco.so*", "libmujoco.*dylib", "mujoco.dll"), Path(mujoco.__file__).parent
 _library = next(path for name in _names for path in sorted(_folder.glob(name)))
 llvmlite.binding.load_library_permanently(str(_library))
+
+
+@ctypes.CFUNCTYPE(None, ctypes.c_char_p)
+def _say_nothing(warning: bytes) -> None:
+    """Stand in the place of a handler that prints and leaves MUJOCO_LOG.TXT behind: a mask tells what diverged."""
+
+
+_handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(_library)), "mju_user_warning")
+_handler.value = ctypes.cast(_say_nothing, ctypes.c_void_p).value
 
 
 def _c_function(name: str, *arguments: types.Type) -> Callable[..., None]:

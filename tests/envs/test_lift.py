@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from datamodules.errors import UserError
+from plp_lightning.envs.lift.robots import Robot
 from plp_lightning.envs.lift.simulator import Lift
-from plp_lightning.envs.lift.tasks import TASKS, Robot, block_place
+from plp_lightning.envs.lift.tasks import TASKS, block_place
 
 ROOT = Path(__file__).parents[2]
 ROBOTS: tuple[Robot, ...] = get_args(Robot)
@@ -63,7 +64,7 @@ def test_proxies_share_neither_height_nor_position(target: str) -> None:
 
 
 def test_spec_names_the_published_state_sizes() -> None:
-    assert [Lift(robot).spec("source").state_size for robot in ROBOTS] == [32, 37]
+    assert [Lift(robot).spec("source").state_size for robot in ROBOTS] == [32, 37, 32, 40]
     spec = Lift("UR5e").spec("target")
     assert (spec.name, spec.action_size, spec.control_hz) == ("target", 4, 20.0)
     assert tuple(key.name for key in spec.state_keys) == KEYS
@@ -79,8 +80,8 @@ def test_unknown_task_is_named_with_a_hint() -> None:
 
 
 def test_bad_arguments_are_named() -> None:
-    with pytest.raises(UserError, match="robot is 'Panda'; expected one of: Sawyer, UR5e"):
-        Lift("Panda")  # type: ignore[arg-type]
+    with pytest.raises(UserError, match="robot is 'Baxter'; expected one of: Sawyer, UR5e, Panda, Kinova3"):
+        Lift("Baxter")  # type: ignore[arg-type]
     with pytest.raises(UserError, match=r"Lift\.joint_noise is -0\.1; expected a number, at least 0; change it"):
         Lift("Sawyer", joint_noise=-0.1)
     with pytest.raises(UserError, match=r"Lift\.horizon is 0; expected a whole number, at least 1; change it"):
@@ -138,7 +139,7 @@ def robosuite_state(observation: dict[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([observation[f"robot0_{key}"] for key in KEYS])
 
 
-@pytest.mark.parametrize(("robot", "tolerance"), [("Sawyer", 1e-6), ("UR5e", 1e-4)])
+@pytest.mark.parametrize(("robot", "tolerance"), [("Sawyer", 1e-6), ("UR5e", 1e-4), ("Panda", 1e-6), ("Kinova3", 1e-4)])
 def test_steps_equal_those_of_robosuite(robot: Robot, tolerance: float) -> None:
     lift = simulator(robot)
     first = begin(lift, EPISODES[:1])[0]
@@ -159,7 +160,7 @@ def test_steps_equal_those_of_robosuite(robot: Robot, tolerance: float) -> None:
     speed, fingers = spec.columns(["joint_vel"]), spec.columns(["gripper_qpos"])
     np.testing.assert_allclose(np.array(ours)[:, speed], np.array(theirs)[:, speed], atol=50 * tolerance)
     # The Robotiq's knuckles collide at rest: a change of 1e-16 rad grows to 1e-3 rad within a step.
-    finger_tolerance = 1e-6 if robot == "Sawyer" else 0.15
+    finger_tolerance = 1e-6 if robot in ("Sawyer", "Panda") else 0.15
     np.testing.assert_allclose(np.array(ours)[:, fingers], np.array(theirs)[:, fingers], atol=finger_tolerance)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Expert, Simulator
+from plp_lightning.envs.lift.robots import BUILDS
 from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.lift.tasks import block_place
 
@@ -20,8 +21,6 @@ CREEP = 0.15  # share of the sideways motion that is left while the hand rises
 LIFT = 0.15  # height to which the block is lifted, m; more than success asks for
 NEAR = 0.01  # distance along the table and in height at which the fingers close, m
 OVER = 0.02  # distance along the table at which the hand descends, m
-HOLDS = {"Sawyer": (-1.0, 0.0025), "UR5e": (1.0, 0.385)}
-"""Sign and threshold of the first finger joint: beyond it the fingers are as closed as on a block."""
 
 
 class LiftExpert(Expert):
@@ -37,7 +36,7 @@ class LiftExpert(Expert):
         spec = simulator.spec(simulator.robot)
         self._hand = spec.columns(["eef_pos"])
         self._finger = spec.columns(["gripper_qpos"])[0]
-        self._sign, self._threshold = HOLDS[simulator.robot]
+        self._sign, self._threshold = BUILDS[simulator.robot].holds
         self._blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:

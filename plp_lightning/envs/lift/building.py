@@ -16,13 +16,12 @@ import mujoco
 import numpy as np
 
 from plp_lightning.envs.lift.compiling import binary
+from plp_lightning.envs.lift.robots import BUILDS, Robot
 from plp_lightning.envs.lift.state import Arm
-from plp_lightning.envs.lift.tasks import BLOCK_HALF, PEDESTAL_HALF, Robot
+from plp_lightning.envs.lift.tasks import BLOCK_HALF, PEDESTAL_HALF
 from plp_lightning.envs.suites.quiet import quiet
 
 ARENA = "16M"  # room for contacts in each thread; an episode needs less than a tenth of it
-FINGERS = {"Sawyer": (1.0, -1.0), "UR5e": (1.0, 1.0)}
-"""Sign with which each finger's actuator follows the gripper command."""
 
 
 with quiet():
@@ -82,7 +81,7 @@ def build(robot: Robot) -> bytes:
         rest_pose=np.array(parts.init_qpos, dtype=float),
         open_fingers=np.array(parts.gripper["right"].init_qpos),
         pedestal=model.body("pedestal").mocapid[0],
-        **_arm(env, model, FINGERS[robot])._asdict(),
+        **_arm(env, model, BUILDS[robot].signs)._asdict(),
     )
     return file.getvalue()
 

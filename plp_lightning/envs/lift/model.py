@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 
 from plp_lightning.envs.kept import kept, origin
+from plp_lightning.envs.lift.robots import Robot
 from plp_lightning.envs.lift.state import Arm
-from plp_lightning.envs.lift.tasks import Robot
 from plp_lightning.envs.rendering.scene import HIDDEN
 
 COLLIDING = 0  # robosuite's group of geoms that collide; those to be seen are in another

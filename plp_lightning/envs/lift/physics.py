@@ -8,8 +8,9 @@ import numpy as np
 from plp_lightning.envs.engine import Engine
 from plp_lightning.envs.lift.model import LiftModel
 from plp_lightning.envs.lift.osc import begin_episodes, step_episodes
+from plp_lightning.envs.lift.robots import Robot
 from plp_lightning.envs.lift.state import Episodes, Workspace
-from plp_lightning.envs.lift.tasks import BLOCK_HALF, PEDESTAL_HALF, Robot
+from plp_lightning.envs.lift.tasks import BLOCK_HALF, PEDESTAL_HALF
 
 LIFTED = 0.04  # rise of the block above its rest that counts as success, m
 

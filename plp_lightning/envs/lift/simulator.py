@@ -1,4 +1,4 @@
-"""R2R-Lift: a Sawyer or a UR5e lifts a block that it does not see from a place that the task names.
+"""R2R-Lift: an arm lifts a block that it does not see from a place that the task names.
 
 The robots are robosuite's (https://robosuite.ai), and so is the physics of every step; only the Python between the
 steps is gone (see :mod:`plp_lightning.envs.lift.osc`).
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,13 +17,13 @@ from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
-from plp_lightning.envs.lift.tasks import TASKS, Robot, block_place
+from plp_lightning.envs.lift.robots import BUILDS, Robot
+from plp_lightning.envs.lift.tasks import TASKS, block_place
 
 if TYPE_CHECKING:
     from plp_lightning.envs.lift.physics import LiftPhysics
     from plp_lightning.envs.rendering.studio import Studio
 
-JOINTS: dict[str, tuple[int, int]] = {"Sawyer": (7, 2), "UR5e": (6, 6)}  # joints of the arm and of the fingers
 VIEW = (150.0, -20.0, 1.6, (-0.1, 0.0, 1.05))  # Viewpoint of films: from beyond the table
 
 
@@ -34,7 +34,7 @@ class Lift(Simulator):
     (positive) the gripper, ramped over ten steps. The hand keeps pointing down. Control runs at 20 Hz.
 
     Args:
-        robot: The arm, ``Sawyer`` or ``UR5e``.
+        robot: The arm: ``Sawyer``, ``UR5e``, ``Panda`` or ``Kinova3``.
         joint_noise: Standard deviation of the initial joint angles around robosuite's initial pose, rad.
         horizon: Control steps after which an unsolved episode counts as failed.
         threads: Threads that step physics; 0 means one for each core.
@@ -54,14 +54,13 @@ class Lift(Simulator):
         horizon: PositiveInt = 200,
         threads: NonNegativeInt = 0,
     ) -> None:
-        if robot not in get_args(Robot):
-            raise ConfigError(f"robot is {robot!r}; expected one of: {', '.join(get_args(Robot))}")
+        if robot not in BUILDS:
+            raise ConfigError(f"robot is {robot!r}; expected one of: {', '.join(BUILDS)}")
         self.robot, self.joint_noise, self.horizon, self.threads = robot, joint_noise, horizon, threads
 
     def spec(self, name: str) -> DomainSpec:
-        """States ``(32,)`` of Sawyer or ``(37,)`` of UR5e, named and ordered as robosuite's ``robot0_<key>``."""
-        arm, fingers = JOINTS[self.robot]
-        unit = "m" if self.robot == "Sawyer" else "rad"
+        """States, ``(32,)`` of a Sawyer and ``(37,)`` of a UR5e, named and ordered as robosuite's ``robot0_<key>``."""
+        arm, fingers, unit, *_ = BUILDS[self.robot]
         sizes = (
             ("joint_pos_cos", arm, ""),
             ("joint_pos_sin", arm, ""),
@@ -81,7 +80,7 @@ class Lift(Simulator):
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
-        joints = JOINTS[self.robot][0]
+        joints = BUILDS[self.robot].joints
         # Robot and task join the seed, so that equal seeds do not align the domains' initial poses.
         streams = [start_generator(s, f"{self.robot} {task}") for task, s in zip(tasks, seeds, strict=True)]
         noise = np.array([self.joint_noise * stream.standard_normal(joints) for stream in streams])

@@ -1,15 +1,12 @@
-"""R2R-Lift on paper: two robots, and 27 places of a block, three by three on the table at three heights."""
+"""R2R-Lift on paper: 27 places of a block, three by three on the table at three heights."""
 
 from __future__ import annotations
 
 from itertools import product
-from typing import Literal
 
 import numpy as np
 
 from plp_lightning.envs.tasks import Tasks
-
-Robot = Literal["Sawyer", "UR5e"]
 
 GRID_X = (-0.08, 0.0, 0.08)
 GRID_Y = (-0.12, 0.0, 0.12)

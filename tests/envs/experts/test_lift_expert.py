@@ -11,10 +11,11 @@ from datamodules.errors import UserError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.experts.lift import LiftExpert
-from plp_lightning.envs.lift.simulator import Lift, Robot
+from plp_lightning.envs.lift.robots import Robot
+from plp_lightning.envs.lift.simulator import Lift
 
-OPEN = {"Sawyer": 0.0112, "UR5e": -0.027}
-HELD = {"Sawyer": 0.0019, "UR5e": 0.43}
+OPEN = {"Sawyer": 0.0112, "UR5e": -0.027, "Panda": 0.039, "Kinova3": -0.027}
+HELD = {"Sawyer": 0.0019, "UR5e": 0.43, "Panda": 0.0199, "Kinova3": 0.43}
 ROBOTS: tuple[Robot, ...] = get_args(Robot)
 BLOCK = np.array([-0.08, 0.12, 0.87])
 
