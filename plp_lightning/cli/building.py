@@ -39,11 +39,12 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
     kept = keep(parser, config, dropped)
     config.trainer.logger = None  # a phase builds its own
     made = _made(parser, config)
-    check_names({"experiment": made.experiment, "method": made.method})
+    method = _method_name(made.method, made.recipe)
+    check_names({"experiment": made.experiment, "method": method})
     made.handover.check(made.phases, made.data.val_fraction)
     return Experiment(
         name=made.experiment,
-        method=Method(made.method, made.policy, {name: made[name] for name in made.phases}),
+        method=Method(method, made.policy, {name: made[name] for name in made.phases}),
         seed=made.seed,
         threads=made.threads,
         cuda_graphs=made.cuda_graphs,
@@ -58,6 +59,11 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
         loggers=Loggers(kept["trainer"]["logger"] or []),
         config=dump_yaml(kept),
     )
+
+
+def _method_name(method: str, recipe: str | None) -> str:
+    """A method's name with that of the recipe behind it, if there is one; an override of a sweep may say it already."""
+    return method if not recipe or method.endswith(f"_{recipe}") else f"{method}_{recipe}"
 
 
 def _made(parser: ArgumentParser, config: Namespace) -> Namespace:

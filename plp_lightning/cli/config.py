@@ -203,6 +203,9 @@ def build_parser(phases: Sequence[str]) -> ArgumentParser:
     parser.add_argument("--allow_imports", type=str | None, help="package of yours whose classes configs may name")
     parser.add_argument("--experiment", type=str | None, help="name; the first config's file name if not given")
     parser.add_argument("--method", type=str, help="name of the method, for the run directory")
+    told = "name of the settings that are laid over page and method; it follows the method's in the run directory"
+    parser.add_argument("--recipe", type=str | None, help=told)
+    parser.add_argument("--sweep", type=str | None, help="page of the sweep that the run is part of; for results.json")
     parser.add_argument("--seed", type=Seed, default=0, help="seed of weights, batches and evaluation")
     parser.add_argument("--threads", type=Threads, default=1, help="threads of torch; simulators use all cores")
     parser.add_argument(

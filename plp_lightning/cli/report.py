@@ -18,7 +18,7 @@ from plp_lightning.report.markdown import markdown
 from plp_lightning.report.page import html
 from plp_lightning.report.records import Record, read_records
 from plp_lightning.report.reference import paper, reference
-from plp_lightning.report.sheet import comma_separated
+from plp_lightning.report.sheet import comma_separated, tables_of
 from plp_lightning.report.summaries import groups_of
 
 
@@ -26,7 +26,9 @@ def run_report(arguments: Sequence[str]) -> None:
     """``plp report RUNS… [--out FOLDER] [--reference FILE]``: tables and figures of runs, beside known values."""
     parser = OptionParser("plp report", description="Tables and figures of many runs, beside the paper's values.")
     parser.add_argument("runs", type=Path, nargs="+", help="run directories, or folders above them, such as runs")
-    parser.add_argument("--out", type=Path, help="folder that gets report.html, .md, .tex, .csv and figures/")
+    parser.add_argument(
+        "--out", type=Path, help="folder that gets report.html, .md, .tex, .csv, tables.csv and figures/"
+    )
     parser.add_argument("--reference", type=Path, help="YAML file of values to compare with, instead of the paper's")
     options = parser.parse_args(list(arguments))
     compared = reference(read_yaml(options.reference), options.reference) if options.reference else paper()
@@ -45,6 +47,7 @@ def _write(out: Path, records: Sequence[Record], sections: Sequence[Section]) ->
         "report.md": markdown(TITLE, sections),
         "report.tex": latex(TITLE, sections),
         "report.csv": comma_separated(records),
+        "tables.csv": tables_of(sections),
     }
     (out / "figures").mkdir(parents=True, exist_ok=True)
     _write_images(out / "figures", sections)

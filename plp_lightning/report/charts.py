@@ -47,7 +47,7 @@ def success_chart(groups: Sequence[Group], compared: Reference) -> list[Figure]:
 
 
 def _beside(group: Group, compared: Reference) -> float | None:
-    known = compared.value(group.experiment, group.method)
+    known = compared.value(group.experiment, group.plain_method)
     return known.mean if known else None
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from plp_lightning.report.appendix import on_the_way, runs
 from plp_lightning.report.charts import score_charts, study_charts, success_chart
+from plp_lightning.report.comparison import reference_tables
 from plp_lightning.report.document import Section
 from plp_lightning.report.kept import Row
 from plp_lightning.report.progress import progress_charts
@@ -17,7 +18,6 @@ from plp_lightning.report.tables import (
     differences,
     interquartile_means,
     measured,
-    reference_tables,
     side_by_side,
     success_rates,
 )

@@ -57,12 +57,19 @@ class Record:
     held_out: Mapping[str, float] = field(default_factory=dict)  # error of held-out actions, by domain
     episodes: int | None = None  # of the target task in the target domain
     commit: str | None = None
+    recipe: str | None = None  # whose name the method's ends in; None: the page's own settings
+    sweep: str | None = None  # page that the run was made by
     config_sha256: str | None = None  # of all settings
     data_sha256: str | None = None
     file: str = ""  # that tells all this, below the folder that was named
     note: str = ""  # that was written down beside it
     phases: tuple[str, ...] = ()  # in the order in which they were trained
     folder: Path | None = None  # that holds the phases' curves and pictures
+
+    @property
+    def plain_method(self) -> str:
+        """The method's name without the recipe's."""
+        return self.run.method.removesuffix(f"_{self.recipe}")
 
 
 def read_records(paths: Sequence[Path]) -> list[Record]:
@@ -128,6 +135,8 @@ def _record(file: Path, content: Any, root: Path) -> Record:
         return replace(
             _measured(content),
             commit=_text(content.get("commit")),
+            recipe=_text(content.get("recipe")),
+            sweep=_text(content.get("sweep")),
             config_sha256=_text(content.get("config_sha256")),
             data_sha256=_text(content.get("data_sha256")),
             file=_shown(file, root),

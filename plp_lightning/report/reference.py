@@ -75,6 +75,7 @@ class Reference(BaseModel):
     name: Text = "the reference"
     source: Text = ""
     runs: Annotated[int, Field(ge=1)] | None = None  # behind each value
+    recipe: Text | None = None  # that it was measured by, whose runs stand beside its values
     values: Values
     tables: list[ReferenceTable] = []
 

@@ -1,4 +1,4 @@
-"""A report's runs as CSV."""
+"""A report's runs and tables as CSV."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import fields
 from typing import Any
 
 from datamodules.words import visible
+from plp_lightning.report.document import Section
 from plp_lightning.report.records import Record, RunKey
 
 MEASURES = ("alignment", "behaviour", "held_out")  # Fields whose every entry is a column
@@ -33,6 +34,17 @@ def comma_separated(records: Sequence[Record]) -> str:
         cells += [getattr(record, field).get(name) for field, name in measures]
         settings = "not recorded" if record.settings is None else json.dumps(record.settings)
         writer.writerow(map(_safe, [*cells, settings]))
+    return text.getvalue()
+
+
+def tables_of(sections: Sequence[Section]) -> str:
+    """Every table of some sections, all columns, each below its header and behind its section's title."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for section in sections:
+        for table in section.tables:
+            rows = [table.header, *([" · ".join(cell.lines) for cell in cells] for cells in table.rows)]
+            writer.writerows([*map(_safe, [section.title, *cells])] for cells in rows)
     return text.getvalue()
 
 

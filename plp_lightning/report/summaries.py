@@ -48,6 +48,16 @@ class Group:
     records: tuple[Record, ...]
     anchor: str  # its name in a document
 
+    @property
+    def recipe(self) -> str | None:
+        """Recipe that its runs were made by; None: the page's own settings."""
+        return self.records[0].recipe
+
+    @property
+    def plain_method(self) -> str:
+        """The method's name without the recipe's, by which values are compared with."""
+        return self.records[0].plain_method
+
     def summary(self, measure: Measure = success) -> Summary | None:
         """Outcome of its runs in one measure; None if no run has it."""
         return summarise(self.records, measure)
@@ -56,9 +66,14 @@ class Group:
 def groups_of(records: Iterable[Record], order: Reference) -> list[Group]:
     """Groups in the order of a reference; in each, runs by target task and seed."""
     found: dict[tuple[str, str, bool], list[Record]] = defaultdict(list)
-    for record in sorted(records, key=lambda record: (order.rank(*record.run[:2]), record.run[2:])):
+    for record in sorted(records, key=lambda run: (_rank(run, order), run.run[2:])):
         found[record.run.experiment, record.run.method, record.settings is not None].append(record)
     return [Group(*names, tuple(runs), f"runs-{i}") for i, (names, runs) in enumerate(found.items(), start=1)]
+
+
+def _rank(record: Record, order: Reference) -> tuple[object, ...]:
+    """Place of a run's experiment, method and recipe; the page's own settings come first."""
+    return (*order.rank(record.run.experiment, record.plain_method), record.recipe or "", record.run.method)
 
 
 def by_target(records: Iterable[Record], measure: Measure) -> dict[tuple[str, str], list[float]]:

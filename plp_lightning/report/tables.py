@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
-from plp_lightning.report.document import NOT_RUN, Cell, Section, Table, cell, row
+from plp_lightning.report.document import Cell, Section, Table, cell, row
 from plp_lightning.report.records import Record
-from plp_lightning.report.reference import Reference, ReferenceTable
+from plp_lightning.report.reference import Reference
 from plp_lightning.report.summaries import Group, Measure, Summary, middle, paired, success, summarise, worst_seed
 from plp_lightning.report.summaries import by_target as runs_by_target
 from plp_lightning.report.words import (
@@ -36,7 +36,7 @@ ONE_KIND = "ours of episodes alone may differ by the seed"
 
 def success_rates(groups: Sequence[Group], compared: Reference) -> Section:
     """Every method on every experiment, beside the reference where that says something of one of them."""
-    known = any(compared.value(group.experiment, group.method) for group in groups)
+    known = any(compared.value(group.experiment, group.plain_method) for group in groups)
     header = ["experiment", "method", "runs", "success", "95 % interval", "before adaptation", *[compared.name] * known]
     rows = [_success_row(group, compared, known) for group in groups]
     text = "Target task in the target domain, mean over runs."
@@ -44,15 +44,16 @@ def success_rates(groups: Sequence[Group], compared: Reference) -> Section:
 
 
 def _success_row(group: Group, compared: Reference, known: bool) -> list[Cell]:
-    found, beside = group.summary(), compared.value(group.experiment, group.method)
+    found, beside = group.summary(), compared.value(group.experiment, group.plain_method)
     rates = [NOT_SIMULATED, NONE] if found is None else [spread(found), interval(found.interval, found.kind)]
     mark = disagreement(found, beside, compared.runs)
-    numbers = [_count(group), *rates, spread(group.summary(lambda run: run.before))]
+    numbers = [counted(group), *rates, spread(group.summary(lambda run: run.before))]
     numbers += [f"{value(beside)} {mark}".rstrip()] * known
     return [*row(group.experiment, group.method), *row(*numbers, runs=group.anchor)]
 
 
-def _count(group: Group, of: str = "") -> str:
+def counted(group: Group, of: str = "") -> str:
+    """Number of a group's runs, ``of`` what it is, and the marks of what is to be said of them."""
     marks = UNRECORDED * (not group.recorded) + NOTED * any(run.note for run in group.records)
     return f"{len(group.records)}{of} {marks}".rstrip()
 
@@ -67,44 +68,6 @@ def _legend(groups: Sequence[Group], compared: Reference, known: bool) -> list[s
         *[f"{ABOVE} above, {BELOW} below: its 95 % interval{behind} and ours share no value; {ONE_KIND}."] * known,
         *[f"{compared.name[:1].upper()}{compared.name[1:]}: {compared.source}."] * (known and bool(compared.source)),
     ]
-
-
-def reference_tables(groups: Sequence[Group], compared: Reference) -> list[Section]:
-    """The reference's own tables, from runs; none if no run is of its experiments."""
-    if not {group.experiment for group in groups} & {*compared.values}:
-        return []
-    return [_reference_table(groups, compared, table) for table in compared.tables]
-
-
-def _reference_table(groups: Sequence[Group], compared: Reference, table: ReferenceTable) -> Section:
-    cells: dict[tuple[str, str], list[Group]] = defaultdict(list)
-    for group in groups:
-        cells[group.experiment, group.method].append(group)
-    rows = [
-        [
-            cell(experiment),
-            *(_compared(cells[experiment, name], compared, table, (experiment, name)) for name in table.methods),
-        ]
-        for experiment in table.experiments
-    ]
-    text = (
-        f"In each cell: what was measured, its 95 % interval and number of runs, and below it {compared.name}'s value."
-    )
-    return Section(
-        table.title, [text], [Table(["experiment", *table.methods], rows)], notes=[table.note] * bool(table.note)
-    )
-
-
-def _compared(groups: Sequence[Group], compared: Reference, table: ReferenceTable, names: tuple[str, str]) -> Cell:
-    beside, lines = compared.value(*names, table), list[str]()
-    mark = ""
-    for group in groups:
-        if (found := group.summary()) is not None:
-            mark = mark or disagreement(found, beside, compared.runs)
-            counted = _count(group, " run" if len(group.records) == 1 else " runs")
-            lines += [spread(found), interval(found.interval, found.kind), counted]
-    told = [f"{compared.name}: {value(beside)} {mark}".rstrip()] if beside else []
-    return cell(*(lines or [NOT_RUN]), *told, runs=groups[0].anchor if groups else "")
 
 
 def interquartile_means(groups: Sequence[Group]) -> list[Section]:

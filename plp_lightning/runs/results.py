@@ -49,6 +49,8 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         | {name: record["seconds"] for name, record in done.items()},
         "data_sha256": experiment.data.fingerprint,
         "device": last.get("device"),
+        "recipe": resolved.get("recipe"),
+        "sweep": resolved.get("sweep"),
         "settings": differing_settings(resolved),
         "config_sha256": config_hash(resolved),
         "commit": commit(),

@@ -28,7 +28,8 @@ GROUPS: dict[str, type] = {
     "trainer": Trainer,
 }
 """Classes behind the keys that name none."""
-PLACES = ("run_root", "data.root", "data.file")  # Keys that say where something lies, not what it is
+PLACES = ("run_root", "data.root", "data.file", "recipe", "sweep")
+"""Keys that say where something lies, or whose part it is, not what it is."""
 IDENTITY = ("experiment", "method", "data.target_task", "seed", "allow_imports")
 """Keys that results hold under names of their own, and whose code may be run."""
 UNKNOWN = object()  # Stands for the default of what has none; nothing equals it
