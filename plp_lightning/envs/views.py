@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
 from datamodules.errors import UserError
+
+if TYPE_CHECKING:
+    from plp_lightning.envs.base import Simulator
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,17 @@ class Planned(Located, Protocol):
 
     def floor_plan(self) -> FloorPlan:
         """Walls ``(W, 2)`` and goals, in the frame of :meth:`shared_position`."""
+
+
+@runtime_checkable
+class Reaching(Protocol):
+    """A simulator whose tasks are solved by coming near a place."""
+
+    success_radius: float
+    """Distance from it that counts as success, m."""
+
+    def within(self, radius: float) -> Simulator:
+        """The same episodes with another ``radius``, m; used one after the other, as both share their physics."""
 
 
 @runtime_checkable

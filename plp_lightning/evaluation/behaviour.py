@@ -6,8 +6,10 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from datamodules.settings import Configured
+from datamodules.settings import Configured, PositiveFloat
+from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.rollout import Episodes, Observer
+from plp_lightning.envs.views import Reaching
 
 
 class BehaviourMetric(Configured, Observer, ABC):
@@ -31,3 +33,26 @@ class StepsToSuccess(BehaviourMetric):
 
     def value(self, outcome: Episodes) -> float | None:
         return float(np.mean(outcome.steps[outcome.success])) if outcome.success.any() else None
+
+
+class SuccessWithin(BehaviourMetric):
+    """Share of episodes that come nearer to their goals than success asks for, ``success_within_0.5_m``.
+
+    An episode ends with success, so the same ones are run again from their starts to the horizon, in a simulator where
+    this distance counts: at the end of a phase alone, not for curves, and where success asks for less.
+
+    Args:
+        radius: Distance from the goal, m.
+    """
+
+    def __init__(self, radius: PositiveFloat) -> None:
+        self.radius, self.name = radius, f"success_within_{radius:g}_m"
+
+    def value(self, outcome: Episodes) -> None:
+        return None  # episodes of its own tell
+
+    def simulator(self, simulator: Simulator) -> Simulator | None:
+        """Where its episodes run in the place of ``simulator``; None if success there asks for as much already."""
+        if isinstance(simulator, Reaching) and simulator.success_radius > self.radius:
+            return simulator.within(self.radius)
+        return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from abc import abstractmethod
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -57,7 +58,7 @@ class Maze(Simulator):
         self.layout = LAYOUTS[layout]
         self.frame = Frame.gymnasium(self.layout.shape, self.scale) if frame == "gymnasium" else self._d4rl_frame()
         self.horizon, self.threads = horizon or self.horizons[layout], threads
-        self._radius, self._jitter = radius * self.scale, jitter
+        self.success_radius, self._jitter = radius * self.scale, jitter
         self._description = f"MuJoCo {self._body} in maze {layout}, frame {frame}"
 
     @property
@@ -123,7 +124,12 @@ class Maze(Simulator):
     def floor_plan(self) -> FloorPlan:
         """Walls ``(W, 2)`` in rows and columns, so that the same maze looks the same for all bodies."""
         goals = {name: (float(task.goal[0]), float(task.goal[1])) for name, task in self.layout.by_name.items()}
-        return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self._radius / self.scale)
+        return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self.success_radius / self.scale)
+
+    def within(self, radius: float) -> Maze:
+        closer = copy(self)
+        closer.success_radius = radius
+        return closer
 
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """Pictures ``(n, H, W, 3)`` of the whole maze from above, with the goal on its floor."""
@@ -152,7 +158,7 @@ class Maze(Simulator):
     def _studio(self) -> Studio:
         from plp_lightning.envs.maze.pictures import maze_studio
 
-        return maze_studio(self._mjcf(self._walls), self.frame, self.layout.shape, self._radius)
+        return maze_studio(self._mjcf(self._walls), self.frame, self.layout.shape, self.success_radius)
 
     @property
     def _walls(self) -> list[Box]:
@@ -180,5 +186,5 @@ class Maze(Simulator):
 
     def _succeeded(self, episodes: np.ndarray) -> np.ndarray:
         distance = np.linalg.norm(self._positions(episodes) - self._goals[episodes], axis=1)
-        succeeded: np.ndarray = (distance <= self._radius) & ~self._pending[episodes].any(axis=(1, 2))
+        succeeded: np.ndarray = (distance <= self.success_radius) & ~self._pending[episodes].any(axis=(1, 2))
         return succeeded
