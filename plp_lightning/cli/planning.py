@@ -77,20 +77,23 @@ def _parse_page(tree: Mapping[str, Any]) -> SweepPage:
     return page
 
 
-def plan(parts: Sequence[SweepPage], flags: Sequence[str], only: str = "*") -> list[PlannedRun]:
+def plan(parts: Sequence[SweepPage], flags: Sequence[str], only: str = "*", name: str = "") -> list[PlannedRun]:
     """All runs of a page whose name matches ``only``.
 
     Args:
         parts: The page's parts.
         flags: Further words for every run.
         only: Pattern of names as shells have them.
+        name: The page's, which runs keep; they keep none if it is empty.
 
     Raises:
         ConfigError: If the parser refuses one, two share a directory, none matches, or settings of one have changed
             since it began.
     """
     _check_flags(flags)
-    runs = [run for page in parts for variant in variants(page, find_word, flags) for run in _runs(variant, page.root)]
+    made_by = [f"--sweep={name}"] * bool(name)
+    every = [(variant, page.root) for page in parts for variant in variants(page, find_word, flags)]
+    runs = [run for variant, root in every for run in _runs(variant, [f"--run_root={root}", *made_by])]
     _check_directories(runs)
     chosen = [run for run in runs if fnmatchcase(run.name, only)]
     if not chosen:
@@ -121,12 +124,12 @@ def _check_flags(flags: Sequence[str]) -> None:
             raise ConfigError(f"--{key} comes from {OWN[key]}; leave it away")
 
 
-def _runs(variant: Variant, root: str) -> Iterator[PlannedRun]:
+def _runs(variant: Variant, own: Sequence[str]) -> Iterator[PlannedRun]:
     """Runs of one variant; the parser reads it once, as target task and seed are plain values."""
-    places = [*variant.words, f"--run_root={root}"]
-    own = [f"--data.target_task={variant.targets[0]}"] if variant.targets else []
+    places = [*variant.words, *own]
+    first = [f"--data.target_task={target}" for target in variant.targets[:1]]
     try:
-        template, _ = read([*places, *own])
+        template, _ = read([*places, *first])
     except ConfigError as error:
         raise ConfigError(f"{variant.experiment}: {error}") from None
     tree = parse_yaml(template.config)

@@ -33,7 +33,7 @@ def run_sweep(arguments: Sequence[str]) -> None:
     if not parts[0].root:
         raise ConfigError("root is empty; expected a folder for run directories: name one or leave it away")
     root = Path(parts[0].root)
-    jobs = jobs_of(plan(parts, [*flags, f"--sweep={page.stem}"], options.only), root)
+    jobs = jobs_of(plan(parts, flags, options.only, page.stem), root)
     if options.dry_run:
         print(_counts(jobs))
     elif options.print:

@@ -17,6 +17,7 @@ OWN = {
     "data.target_task": "targets of the sweep's page",
     "run_root": "root of the sweep's page",
     "method": "the override's name",
+    "sweep": "the name of the sweep's page",
     **dict.fromkeys(("phase", "from"), "what runs have in common"),
     **dict.fromkeys(("resume", "print_config"), "plp fit alone"),
 }
