@@ -127,6 +127,7 @@ class Maze(Simulator):
         return FloorPlan(np.array(self.layout.walls, dtype=float), 1.0, goals, self.success_radius / self.scale)
 
     def within(self, radius: float) -> Maze:
+        """The same episodes, solved within another ``radius``, m; both step the same physics, one after the other."""
         closer = copy(self)
         closer.success_radius = radius
         return closer
