@@ -46,15 +46,15 @@ def page(address: str, size: str) -> Image.Image:
         return Image.open(f"{folder}/shot.png").convert("RGB")
 
 
-def board(runs: Path) -> Image.Image:
-    """TensorBoard's main charts."""
-    words = ["--logdir", str(runs), "--host", "127.0.0.1", "--port", "0", "--load_fast=false"]
-    server = subprocess.Popen([sys.executable, "-m", "tensorboard.main", *words], stderr=subprocess.PIPE, text=True)
+def board(folder: Path) -> Image.Image:
+    """TensorBoard's main charts; the folder's place isn't shown."""
+    words = ["-m", "tensorboard.main", "--logdir", "runs", "--host", "127.0.0.1", "--port", "0", "--load_fast=false"]
+    server = subprocess.Popen([sys.executable, *words], cwd=folder, stderr=subprocess.PIPE, text=True)
     try:
         assert server.stderr is not None
         found = next(m[0] for line in server.stderr if (m := re.search(r"http://127\.0\.0\.1:\d+/", line)))
         time.sleep(10)  # it reads runs after it has begun to answer
-        return page(f"{found}#custom_scalars", "1400,1000")
+        return page(f"{found}#custom_scalars", "1400,780")
     finally:
         server.kill()
         server.wait()
@@ -65,8 +65,8 @@ def main(arguments: Sequence[str]) -> None:
     folder = Path(arguments[0]).resolve()
     keep(film(sorted((folder / RUN / "rollouts").glob("*.gif"))[0]), "film.png", 960)
     keep(Image.open(folder / RUN / "adaptation" / "latents.png"), "latents.png", 720)
-    keep(page((folder / "report" / "report.html").as_uri(), "1200,900"), "report.png", 900)
-    keep(board(folder / "runs"), "tensorboard.png", 960)
+    keep(page((folder / "report" / "report.html").as_uri(), "1200,800"), "report.png", 900)
+    keep(board(folder), "tensorboard.png", 960)
 
 
 if __name__ == "__main__":
