@@ -40,9 +40,10 @@ def film(path: Path) -> Image.Image:
 def page(address: str, size: str) -> Image.Image:
     """A page as Chromium shows it once its scripts have run."""
     with tempfile.TemporaryDirectory() as folder:
-        quiet = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder}/profile"]
-        shot = [f"--screenshot={folder}/shot.png", f"--window-size={size}", f"--virtual-time-budget={WAIT}"]
-        subprocess.run(["chromium", *quiet, *shot, address], check=True, capture_output=True, timeout=300)
+        quiet = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+        shot = [f"--user-data-dir={folder}/profile", f"--screenshot={folder}/shot.png", f"--window-size={size}"]
+        waiting = f"--virtual-time-budget={WAIT}"
+        subprocess.run(["chromium", *quiet, *shot, waiting, address], check=True, capture_output=True, timeout=300)
         return Image.open(f"{folder}/shot.png").convert("RGB")
 
 

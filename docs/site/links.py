@@ -26,7 +26,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add a page for each file outside of docs/ that a page leads to, and for those that these lead to."""
     origins.clear()
     waiting = [ROOT / name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")]
-    waiting += [place for file in files.documentation_pages() for place in _outside(_origin(file))]
+    written = [file for file in files.documentation_pages() if file.generated_by is None]
+    waiting += [place for file in written for place in _outside(_origin(file))]
     while waiting:
         place = waiting.pop()
         name = _name(place)
