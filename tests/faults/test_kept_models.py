@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import NoReturn
 
+import mujoco
 import numpy as np
 import pytest
 from command import processes
