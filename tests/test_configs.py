@@ -7,6 +7,7 @@ import dataclasses
 import inspect
 import itertools
 import json
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,13 @@ def stated_keys(content: Any, place: str = "") -> set[str]:
 
 
 def is_stated(place: str, stated: set[str]) -> bool:
-    return any(key == place or key.startswith(f"{place}.") for key in stated)
+    place = without_numbers(place)
+    return any(key == place or key.startswith(f"{place}.") for key in map(without_numbers, stated))
+
+
+def without_numbers(key: str) -> str:
+    """A key without its places in lists: what a page adds by ``metrics+`` stands elsewhere in the whole."""
+    return re.sub(r"\+?\.\d+(?=\.|$)|\+(?=\.|$)", "", key)
 
 
 def plain(default: Any) -> Any:
