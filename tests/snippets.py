@@ -37,6 +37,8 @@ def commands() -> Iterator[tuple[str, tuple[str, ...]]]:
             words = shlex.split(line, comments=True)
             while words and re.match(r"[A-Z_]+=", words[0]):
                 words = words[1:]
+            if ">" in words:  # where the answer goes
+                words = words[: words.index(">")]
             if words:
                 yield page, tuple(words)
 

@@ -12,7 +12,8 @@ from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.faults import forgiving
 from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.scores import AlignmentScore
-from plp_lightning.evaluation.simulation import EvalSetting, evaluate_quickly
+from plp_lightning.evaluation.simulation import EvalSetting
+from plp_lightning.evaluation.together import evaluate_quickly
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
 

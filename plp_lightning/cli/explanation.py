@@ -76,10 +76,10 @@ COMPLAINTS: list[tuple[str, Callable[[str, re.Match[str], ArgumentParser], str]]
 
 
 def _hint(name: str, known: Iterable[str], otherwise: str) -> str:
-    """``name`` with its first unknown word replaced by the nearest known one."""
-    known = set(known)
-    wrong = next((word for word in name.split(".") if word not in known), "")
-    near = difflib.get_close_matches(wrong, sorted(known), n=1, cutoff=NEAR)
+    """``name`` with its first unknown word, or else its last, replaced by the nearest other one that is known."""
+    known, words = set(known), name.split(".")
+    wrong = next((word for word in words if word not in known), words[-1])
+    near = difflib.get_close_matches(wrong, sorted(known - {wrong}), n=1, cutoff=NEAR)
     return f"did you mean {name.replace(wrong, near[0])!r}?" if near else otherwise
 
 

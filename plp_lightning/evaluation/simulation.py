@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from datamodules.errors import ConfigError
@@ -13,12 +13,9 @@ from datamodules.types import Actor
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.faults import SimulatorError, tell_once
 from plp_lightning.envs.rollout import Episodes, Observer, rollout
-from plp_lightning.evaluation.behaviour import BehaviourMetric, SuccessWithin
+from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.statistics import success_interval
 from plp_lightning.methods.policy import Policy, where_it_acts
-
-TOGETHER = 100
-"""Most episodes of several trials that run at once."""
 
 
 class Acting(Protocol):
@@ -26,7 +23,6 @@ class Acting(Protocol):
 
     def actor(self, domain: str, tasks: Sequence[str]) -> Actor:
         """The actor in episodes of ``tasks`` that begin now."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -82,10 +78,9 @@ def evaluate(
 
     Raises:
         SimulatorError: If the simulator raised before any episode ended: that is no success rate of 0.
-        UserError: If the policy knows the domain as another than the simulator shows, or the user can mend what the
-            simulator refuses.
+        UserError: If the policy knows the domain otherwise than the simulator shows it, or a user can mend a refusal.
     """
-    _check_known(policy, simulator, trial.domain)
+    check_known(policy, simulator, trial.domain)
     tasks, seeds = trial.in_turn("evaluate", seed, episodes)
     faults, watching = list[SimulatorError](), [*metrics, *observers]
     actor = where_it_acts(policy).actor(trial.domain, tasks)
@@ -98,7 +93,8 @@ def evaluate(
     return Outcome.of(found, metrics)
 
 
-def _check_known(policy: Acting, simulator: Simulator, domain: str) -> None:
+def check_known(policy: Acting, simulator: Simulator, domain: str) -> None:
+    """Raise a ConfigError if the policy knows the domain as another than the simulator shows."""
     if isinstance(policy, Policy):
         shown = simulator.spec(domain).to_dict()
         if told := difference(policy.domains[domain].to_dict(), shown, "policy"):
@@ -121,72 +117,3 @@ def evaluate_all(
         name: evaluate(acting, simulators[trial.domain], trial, episodes, seed, metrics, watching.get(name, ()))
         for name, trial in trials.items()
     }
-
-
-def evaluate_quickly(
-    policy: Acting,
-    simulators: Mapping[str, Simulator],
-    trials: Mapping[str, EvalSetting],
-    episodes: int,
-    seed: int,
-    metrics: Sequence[BehaviourMetric] = (),
-) -> dict[str, Outcome]:
-    """What :func:`evaluate_all` gives, up to rounding of actions: trials of a domain run together if they are short.
-
-    A policy acts on a few episodes in the same time as on twice as many, but rounds otherwise. Each trial runs by
-    itself where a metric hears steps, of one set of episodes at a time, and after its simulator has raised.
-    """
-    found, acting = dict[str, Outcome](), where_it_acts(policy)
-    apart = any(_hears_steps(metric) for metric in metrics)
-    for domain in dict.fromkeys(trial.domain for trial in trials.values()):
-        its, simulator = {name: t for name, t in trials.items() if t.domain == domain}, {domain: simulators[domain]}
-        plan = (its, episodes, seed, metrics)
-        together = {} if apart or len(its) * episodes > TOGETHER else _evaluate_together(acting, simulator, *plan)
-        found |= together or evaluate_all(acting, simulator, *plan)
-    return {name: found[name] for name in trials}
-
-
-def _evaluate_together(
-    policy: Acting,
-    simulators: Mapping[str, Simulator],
-    trials: Mapping[str, EvalSetting],
-    episodes: int,
-    seed: int,
-    metrics: Sequence[BehaviourMetric],
-) -> dict[str, Outcome]:
-    """Outcomes of one domain's trials in one rollout; none if the simulator raises."""
-    ((domain, simulator),) = simulators.items()
-    _check_known(policy, simulator, domain)
-    plans = [trial.in_turn("evaluate", seed, episodes) for trial in trials.values()]
-    tasks, seeds = ([x for part in parts for x in part] for parts in zip(*plans, strict=True))
-    faults = list[SimulatorError]()
-    found = rollout(simulator, policy.actor(domain, tasks), tasks, seeds, on_fault=faults.append)
-    if faults:
-        return {}
-    parts = (found.take(slice(start, start + episodes)) for start in range(0, len(tasks), episodes))
-    return {name: Outcome.of(part, metrics) for name, part in zip(trials, parts, strict=True)}
-
-
-def _hears_steps(metric: BehaviourMetric) -> bool:
-    """Tell whether a metric keeps something of a set of episodes, so that it can hear one set at a time."""
-    return any(getattr(type(metric), name) is not getattr(Observer, name) for name in ("begin", "step", "end"))
-
-
-def evaluate_within(
-    metrics: Sequence[SuccessWithin],
-    outcomes: Mapping[str, Outcome],
-    policy: Acting,
-    simulators: Mapping[str, Simulator],
-    trials: Mapping[str, EvalSetting],
-    episodes: int,
-    seed: int,
-) -> dict[str, Outcome]:
-    """Outcomes by trial, with what the same episodes come to nearer to their goals beside; the others as they are."""
-    found = dict(outcomes)
-    for metric in metrics:
-        closer = {name: world for name, known in simulators.items() if (world := metric.simulator(known)) is not None}
-        own = {name: trial for name, trial in trials.items() if trial.domain in closer}
-        for name, outcome in evaluate_all(policy, closer, own, episodes, seed).items():
-            told = {**found[name].behaviour, metric.name: outcome.success}
-            found[name] = replace(found[name], behaviour=told)
-    return found

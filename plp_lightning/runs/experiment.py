@@ -22,7 +22,8 @@ from plp_lightning.envs.faults import forgiving
 from plp_lightning.envs.rollout import Observer
 from plp_lightning.evaluation.behaviour import SuccessWithin
 from plp_lightning.evaluation.scores import JointScore
-from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all, evaluate_within
+from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
+from plp_lightning.evaluation.within import evaluate_within
 from plp_lightning.methods.phase import Phase
 from plp_lightning.methods.policy import AligningPolicy, Policy
 from plp_lightning.pictures.reenactment import Reenactment

@@ -62,7 +62,7 @@ def test_a_page_that_is_shipped_is_valid(path: Path, validators: dict[str, Any])
         "alignment: {init_args: {terms: {mmd: {class_path: MMD, init_args: {bandwidths: [1, -1]}}}}}",
         "alignment: {init_args: {terms: {mmd: {class_path: MMD, init_args: {similarity: squared}}}}}",
         "alignment: {init_args: {optimizer: {class_path: FusedAdamW, init_args: {lr: -1}}}}",
-        "domains: {a: {simulator: {class_path: Lift, init_args: {robot: Panda}}}}",
+        "domains: {a: {simulator: {class_path: Lift, init_args: {robot: Jaco}}}}",
         "domains: {a: {simulater: {class_path: Lift}}}",
         "domains: {a: {expert: {class_path: Lift}}}",
         "evaluation: {metrics: [{class_path: MMD}]}",

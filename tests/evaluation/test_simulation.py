@@ -16,14 +16,13 @@ from plp_lightning.envs.rollout import Episodes
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.evaluation.behaviour import BehaviourMetric, StepsToSuccess
 from plp_lightning.evaluation.simulation import (
-    TOGETHER,
     EvalSetting,
     Outcome,
     evaluate,
     evaluate_all,
-    evaluate_quickly,
 )
 from plp_lightning.evaluation.statistics import success_interval
+from plp_lightning.evaluation.together import TOGETHER, evaluate_quickly
 from plp_lightning.methods import ContextualPolicy
 from plp_lightning.methods.plp import PortablePolicy
 from plp_lightning.methods.policy import Policy, where_it_acts

@@ -14,7 +14,8 @@ from datamodules.types import Actor, Observation
 from plp_lightning.cli.config import parse
 from plp_lightning.envs import PointMaze
 from plp_lightning.evaluation.behaviour import SuccessWithin
-from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all, evaluate_within
+from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
+from plp_lightning.evaluation.within import evaluate_within
 
 TRIALS = {"target": EvalSetting("point", ("s0_g_1_1",))}  # from the cell beside the goal
 

@@ -73,6 +73,14 @@ def test_no_command_uses_a_damaged_checkpoint(verb: str, finished: RunDirectory,
     assert not run.results.exists()
 
 
+def test_a_hash_whose_name_is_damaged_is_missed(tmp_path: Path) -> None:
+    AtomicCheckpointIO().save_checkpoint({"policy": {}, "state_dict": {"w": torch.arange(3.0)}}, tmp_path / "x.ckpt")
+    whole = (tmp_path / "x.ckpt").read_bytes()
+    (tmp_path / "x.ckpt").write_bytes(whole.replace(b"content_sha256", b"content_sha246"))
+    with pytest.raises(CheckpointError, match="does not match its hash"):
+        read_checkpoint(tmp_path / "x.ckpt")
+
+
 def test_checkpoints_of_earlier_versions_have_no_hash_and_are_read(tmp_path: Path) -> None:
     content = {"policy": {}, "state_dict": {"w": torch.arange(3.0)}}
     torch.save(content, tmp_path / "old.ckpt")

@@ -196,7 +196,8 @@ def test_runs_that_no_table_quotes_have_a_table_of_their_own():
 
 def test_the_paper_s_values_name_pages_and_overlays():
     methods = {path.stem for path in METHODS}
-    assert set(paper().values) == PAGES - {"base", "smoke", "r2r_paper"}  # whose values are those of r2r
+    ours = {"door_open_views", "lift_panda_to_ur5e", "stack_sawyer_to_panda"}  # which the paper knows nothing of
+    assert set(paper().values) == PAGES - {"base", "smoke", "r2r_paper"} - ours  # r2r_paper's values are those of r2r
     for values in paper().values.values():
         assert set(values) <= methods
         assert all(value.std is not None and value.std <= 0.5 for value in values.values())

@@ -97,7 +97,7 @@ def test_no_path_of_this_machine_travels_along(tmp_path: Path) -> None:
         (["--domain", ""], "found domain ''; expected one of: flat, tall"),
         (["--task", ""], "found task ''; expected one of"),
         (["--task", "goal_99"], "found task 'goal_99'; expected one of: "),
-        (["--phase", "pretraining"], "has no checkpoint 'last' of pretraining"),
+        (["--phase", "pretraining"], "has no checkpoint of pretraining"),
         (["--to", "tflite"], "invalid choice"),
     ],
 )

@@ -36,7 +36,6 @@ from plp_lightning.networks import (
 
 EncoderWord = Literal["all"]
 DecoderWord = Literal["none", "proprioception", "all"]
-LatentNorm = Literal["none", "layer"]
 EncoderState = EncoderWord | list[str]
 DecoderState = DecoderWord | list[str]
 
@@ -63,19 +62,16 @@ class PortablePolicy(AligningPolicy):
         decoder_layers: Hidden layers of the action decoder.
         gradient_floor: Least slope of the decoder's tanh in the backward pass; 0 is the plain tanh, whose gradient
             vanishes where an untrained task's latent actions saturate it.
-        encoder_state: Part of the state for the encoder: ``all``, or the named keys, of which each domain shows those
-            that it has. Domains align more easily by what they have in common; the rest is for the decoder.
+        encoder_state: State that the encoder sees: ``all``, or the named keys, of which each domain shows those that it
+            has. Domains align more easily by what they have in common.
         decoder_state: Input of the decoder beside the latent action: ``none``; ``proprioception``, which is the whole
             state, since a state holds what a robot senses of itself; ``all``, which is the state and the image; or
             the named keys of the state, of which each domain shows those that it has.
-        latent_norm: Normalisation of latent states: ``none``, as in the paper, or ``layer``, by which all have the
-            length √Z. MMD compares distances with their mean; where latents may be of any length, a few grow until
-            that mean says nothing of the others.
-        columns: Columns of states and actions in the shared network: each domain's ``own``, or ``shared`` by all, which
-            suits domains whose vectors mean the same.
+        latent_norm: Normalisation of latent states: ``none``, as in the paper, or ``layer``: all have the length √Z.
+            Where a few may grow, the mean distance that MMD divides by says nothing of the others.
+        columns: Columns of states and actions: each domain's ``own``, or ``shared``, where vectors mean the same.
         scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
-        image_encoder: The image encoder's class and sizes; without channels the policy is blind: it leaves images
-            aside.
+        image_encoder: Class and sizes of the image encoder; without channels the policy leaves images aside.
 
     Raises:
         ConfigError: If a setting names a key that no domain has, or a domain shows nothing that the policy looks at.
@@ -92,15 +88,14 @@ class PortablePolicy(AligningPolicy):
         gradient_floor: NonNegativeFloat = 0.1,
         encoder_state: EncoderState = "all",
         decoder_state: DecoderState = "proprioception",
-        latent_norm: LatentNorm = "none",
+        latent_norm: Literal["none", "layer"] = "none",
         columns: Sharing = "own",
         scaling: dict[str, Scaling] | None = None,
         image_encoder: ImageEncoderFactory = ImageEncoding(),
     ) -> None:
         super().__init__(problem)
         domains, tasks = problem.domains, problem.tasks
-        self.latent_size = latent
-        self.image_encoding = image_encoder
+        self.latent_size, self.image_encoding = latent, image_encoder
         image_features = vision_width(domains, image_encoder)
         self.scaler = InputScaler(domains, problem.statistics, scaling or {})
         self.state_columns = _columns("encoder_state", encoder_state, get_args(EncoderWord), domains)
