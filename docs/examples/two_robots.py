@@ -55,7 +55,7 @@ class Robot(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return np.clip(speeds / 20 / self.moved(1.0), -self.limit, self.limit).astype(np.float32)
 
     def render(self) -> np.ndarray:
-        """What it looks like, ``(192, 192, 3)``."""
+        """Picture of it, ``(192, 192, 3)``."""
         image = Image.new("RGB", (192, 192), "white")
         draw = ImageDraw.Draw(image)
         corners = [(96 + 100 * x, 176 - 160 * y) for x, y in [*self.points(self.joints), self.goal]]

@@ -118,7 +118,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     saved, remedy = checkpoint.pop(HASH, None), "restore the file, or begin a new run"
     try:
         # An older one has no hash, and no key of almost that name either, which a single flipped bit would leave.
-        matching = saved == content_hash(checkpoint) if saved else not get_close_matches(HASH, map(str, checkpoint))
+        matching = saved in (None, content_hash(checkpoint)) and not get_close_matches(HASH, map(str, checkpoint))
     except CheckpointError as error:
         raise CheckpointError(f"{path}: {error}; {remedy}") from None
     if not matching:

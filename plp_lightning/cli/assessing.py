@@ -94,6 +94,4 @@ def _of_run(path: Path, options: argparse.Namespace) -> Assessment:
     done = [name for name in experiment.method.phases if run.checkpoint(name).exists()]
     if not done:
         raise ConfigError(f"{run.path}: has no checkpoint yet; finish a phase with plp fit --resume {run.path}")
-    phase = options.phase or done[-1]
-    checkpoint = run.checkpoint(phase, options.which) if options.which else run.handed_on(phase)
-    return Assessment(experiment, checkpoint, run.path, run)
+    return Assessment(experiment, run.chosen(options.phase or done[-1], options.which), run.path, run)

@@ -8,6 +8,7 @@ import os
 import signal
 import traceback
 import weakref
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
@@ -16,7 +17,8 @@ import numpy as np
 
 from datamodules.errors import UserError
 from datamodules.types import Observation
-from plp_lightning.envs.base import Step
+from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.tasks import Tasks
 
 _TOLD = ("success", "invalid")
 
@@ -36,6 +38,27 @@ class Recipe(Protocol):
 
     def share(self) -> Share:
         """A new share."""
+
+
+class PooledSimulator(Simulator):
+    """A simulator whose episodes are shared out to processes."""
+
+    _tasks: Tasks
+
+    @property
+    def tasks(self) -> Tasks:
+        return self._tasks
+
+    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
+        self.tasks.check(tasks)
+        return self._pool.reset(tasks, seeds)
+
+    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
+        return self._pool.step(actions, episodes)
+
+    @property
+    @abstractmethod
+    def _pool(self) -> Pool: ...
 
 
 class Pool:

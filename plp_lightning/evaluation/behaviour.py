@@ -52,7 +52,7 @@ class SuccessWithin(BehaviourMetric):
         return None  # episodes of its own tell
 
     def simulator(self, simulator: Simulator) -> Simulator | None:
-        """Where its episodes run in the place of ``simulator``; None if success there asks for as much already."""
+        """Simulator of its episodes in the place of ``simulator``; None if success there asks for as much already."""
         if isinstance(simulator, Reaching) and simulator.success_radius > self.radius:
             return simulator.within(self.radius)
         return None

@@ -23,7 +23,7 @@ def evaluate_quickly(
     seed: int,
     metrics: Sequence[BehaviourMetric] = (),
 ) -> dict[str, Outcome]:
-    """What :func:`evaluate_all` gives, up to rounding of actions: trials of a domain run together if they are short.
+    """Outcomes of :func:`evaluate_all`, up to rounding of actions: trials of a domain run together if they are short.
 
     A policy acts on a few episodes in the same time as on twice as many, but rounds otherwise. Each trial runs by
     itself where a metric hears steps, of one set of episodes at a time, and after its simulator has raised.

@@ -45,7 +45,7 @@ def _recipes(compared: Reference) -> list[str | None]:
 
 
 def _row(there: Sequence[Group], method: str, beside: Value | None, compared: Reference) -> list[Cell]:
-    """What a method's runs on an experiment came to, by recipe, and what they were made by."""
+    """Cells of a method's runs on an experiment: success by recipe, and what they were made by."""
     own = [group for group in there if group.plain_method == method]
     missing = f"{NOT_RUN}: {_hours(own or there, compared.runs)}"
     by_recipe = [[group for group in own if group.recipe == recipe] for recipe in _recipes(compared)]

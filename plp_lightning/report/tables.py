@@ -71,7 +71,7 @@ def _legend(groups: Sequence[Group], compared: Reference, known: bool) -> list[s
 
 
 def interquartile_means(groups: Sequence[Group]) -> list[Section]:
-    """What groups with two seeds or more of every target task come to, with the worst seed, and over experiments."""
+    """Success of groups with two seeds or more of every target task, with the worst seed, and over experiments."""
     repeated = [group for group in groups if (found := group.summary()) and found.middle]
     if not repeated:
         return []

@@ -108,6 +108,10 @@ class RunDirectory:
         """Checkpoint that a phase that is done hands on; the last one so far of a phase that is not."""
         return self.checkpoint(phase, self.phase_record(phase).get("handed_on", "last"))
 
+    def chosen(self, phase: str, which: str | None) -> Path:
+        """The ``last`` or ``best`` checkpoint of a phase, or else the one that it handed on."""
+        return self.checkpoint(phase, which) if which else self.handed_on(phase)
+
     def status(self) -> dict[str, Any]:
         """State of the run and of each of its phases; a :class:`ConfigError` says if the file is damaged."""
         status = {"state": "new", "phases": {}, **self.read_json("status.json")}

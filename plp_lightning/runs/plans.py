@@ -52,8 +52,11 @@ Epoch = Literal["last", "best"]
 class Handover(NamedTuple):
     """Weights that one phase hands on."""
 
-    average_over: float
-    epoch: Epoch
+    average_over: float = 0.0
+    epoch: Epoch = "last"
+
+
+USUAL = Handover()
 
 
 @dataclass(frozen=True)
@@ -68,15 +71,15 @@ class HandoverPlan(Configured):
             out in the target domain. Nothing of the target task has a say in it.
     """
 
-    average_over: Share | dict[str, Share] = 0.0
-    epoch: Epoch | dict[str, Epoch] = "last"
+    average_over: Share | dict[str, Share] = USUAL.average_over
+    epoch: Epoch | dict[str, Epoch] = USUAL.epoch
 
     def of(self, phase: str) -> Handover:
         """Settings of one phase."""
         over, epoch = self.average_over, self.epoch
         return Handover(
-            over.get(phase, 0.0) if isinstance(over, dict) else over,
-            epoch.get(phase, "last") if isinstance(epoch, dict) else epoch,
+            over.get(phase, USUAL.average_over) if isinstance(over, dict) else over,
+            epoch.get(phase, USUAL.epoch) if isinstance(epoch, dict) else epoch,
         )
 
     def check(self, phases: Collection[str], val_fraction: float) -> None:

@@ -94,7 +94,7 @@ def checkpoint_of(run: RunDirectory, phase: str | None, which: str | None) -> Pa
     Without ``last`` or ``best`` it is the one that the phase handed on.
     """
     names = [phase] if phase else [*run.status()["phases"]]
-    files = [run.handed_on(name) if which is None else run.checkpoint(name, which) for name in names]
+    files = [run.chosen(name, which) for name in names]
     if not (found := [file for file in files if file.exists()]):
         remedy, kind = f"finish a phase with plp fit --resume {run.path}", "" if which is None else f" {which!r}"
         raise ConfigError(f"{run.path}: has no checkpoint{kind} of {phase or 'any phase'}; {remedy}")

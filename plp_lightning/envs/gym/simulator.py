@@ -10,11 +10,11 @@ import numpy as np
 
 from datamodules.errors import ConfigError
 from datamodules.settings import NonNegativeInt, PositiveFloat, PositiveInt
-from datamodules.types import DomainSpec, Observation, ObservationKey
-from plp_lightning.envs.base import Simulator, Step, available_cores
+from datamodules.types import DomainSpec, ObservationKey
+from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.gym.share import Recipe
 from plp_lightning.envs.gym.spaces import ActionRange, find_leaves
-from plp_lightning.envs.pool import Pool
+from plp_lightning.envs.pool import Pool, PooledSimulator
 from plp_lightning.envs.tasks import Tasks
 
 Setup = dict[str, dict[str, Any]]
@@ -29,7 +29,7 @@ class Shown(NamedTuple):
     control_hz: float
 
 
-class Gymnasium(Simulator):
+class Gymnasium(PooledSimulator):
     """Any environment of Gymnasium, by its name: each episode has one of its own, and processes step them on all cores.
 
     An episode begins by ``reset(seed=…, options=…)``. Actions in [-1, 1] are brought to the limits of the environment's
@@ -73,21 +73,10 @@ class Gymnasium(Simulator):
         self.imports = tuple(filter(None, [env.rpartition(":")[0]]))
         self._tasks = Tasks(env, tuple(tasks))
 
-    @property
-    def tasks(self) -> Tasks:
-        return self._tasks
-
     def spec(self, name: str) -> DomainSpec:
         low, high = (tuple(map(float, limit)) for limit in (self._shown.actions.low, self._shown.actions.high))
         env = f"Gymnasium {self.recipe.env}" + "".join(f", {k} {v}" for k, v in sorted(self.recipe.make.items()))
         return DomainSpec(name, self._shown.keys, len(low), self._shown.control_hz, env, low, high)
-
-    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        self.tasks.check(tasks)
-        return self._pool.reset(tasks, seeds)
-
-    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        return self._pool.step(actions, episodes)
 
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """Pictures ``(n, H, W, 3)`` as the environment draws them, of its own size."""

@@ -15,14 +15,11 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
-from plp_lightning.envs.lift.compiling import binary
+from plp_lightning.envs.lift.compiling import binary, own_xml
 from plp_lightning.envs.lift.robots import BUILDS, Robot
 from plp_lightning.envs.lift.state import Arm
 from plp_lightning.envs.lift.tasks import BLOCK_HALF, PEDESTAL_HALF
 from plp_lightning.envs.suites.quiet import quiet
-
-ARENA = "16M"  # room for contacts in each thread; an episode needs less than a tenth of it
-
 
 with quiet():
     from robosuite.controllers import load_composite_controller_config
@@ -72,7 +69,7 @@ def robosuite_env(robot: Robot, joint_noise: float = 0.0) -> Any:
 def build(robot: Robot) -> bytes:
     """Compiled model and its parts, built through robosuite (2 to 5 s), as the ``npz`` file that LiftModel reads."""
     env = robosuite_env(robot)
-    xml, parts = _own_xml(env), env.robots[0]
+    xml, parts = own_xml(env), env.robots[0]
     model, file = _bare_model(xml), io.BytesIO()
     np.savez(
         file,
@@ -105,14 +102,6 @@ def _arm(env: Any, model: mujoco.MjModel, finger_signs: tuple[float, ...]) -> Ar
         finger_signs=np.array(finger_signs),
         finger_limits=model.actuator_ctrlrange[finger_actuators],
     )
-
-
-def _own_xml(env: Any) -> str:
-    root = ET.fromstring(env.edit_model_xml(env.model.get_xml()))
-    for size in root.findall("size"):  # robosuite asks for room for thousands of contacts: a gigabyte in each thread
-        root.remove(size)
-    ET.SubElement(root, "size", memory=ARENA)
-    return ET.tostring(root, encoding="unicode")
 
 
 def _bare_model(xml: str) -> mujoco.MjModel:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import subprocess
-import sys
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -14,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from plp_lightning.envs.apart import run_apart
 from plp_lightning.envs.kept import kept, origin
 from plp_lightning.envs.lift.robots import Robot
 from plp_lightning.envs.lift.state import Arm
@@ -68,14 +66,13 @@ def _built_apart(robot: Robot) -> bytes:
 
 
 def _apart(module: str, *words: str, given: bytes = b"") -> bytes | None:
-    """What a module of this package makes of words and bytes in a process of its own; None if that fails.
+    """Bytes that a module of Lift makes of words and bytes in a process of its own; None if that fails.
 
     robosuite and MuJoCo's compiler leave hundreds of MB behind, which are given back so. Whatever is amiss is told
     better where it is met again; and it may have been the process alone.
     """
-    command = [sys.executable, "-m", f"plp_lightning.envs.lift.{module}", *words]
-    paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
-        return subprocess.run(command, input=given, env=os.environ | paths, capture_output=True, check=True).stdout
-    except (OSError, subprocess.CalledProcessError):
+        done = run_apart(f"lift.{module}", *words, given=given)
+    except OSError:
         return None
+    return None if done.returncode else done.stdout

@@ -9,7 +9,7 @@ Robot = Literal["Sawyer", "UR5e", "Panda", "Kinova3"]
 
 
 class Build(NamedTuple):
-    """What there is to know of a robot beside its model."""
+    """All that there is to know of a robot beside its model."""
 
     joints: int  # of the arm
     fingers: int  # joints of the fingers

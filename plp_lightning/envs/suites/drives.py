@@ -1,4 +1,4 @@
-"""What robosuite's controllers want of its arms in a control step, as compiled code takes it."""
+"""Orders of robosuite's controllers to its arms in a control step, as compiled code takes it."""
 
 from __future__ import annotations
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from datamodules.errors import ConfigError, UserError
+from plp_lightning.envs.apart import run_apart
 from plp_lightning.envs.kept import kept, origin
-from plp_lightning.envs.suites.setup import Setup
+from plp_lightning.envs.suites.setup import OBJECT, Setup
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Facts:
     action_size: int
 
     def common(self, other: Facts) -> Facts:
-        """What holds for two environments.
+        """Facts that hold for two environments.
 
         Raises:
             ConfigError: If their actions differ.
@@ -58,9 +57,7 @@ def facts(settings: str) -> Facts:
 
 
 def _asked(settings: str) -> bytes:
-    command = [sys.executable, "-m", "plp_lightning.envs.suites.facts", settings]
-    paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    done = subprocess.run(command, env=os.environ | paths, capture_output=True, check=False)
+    done = run_apart("suites.facts", settings)
     if done.returncode == 2:
         raise ConfigError(done.stdout.decode(errors="replace").strip())
     if done.returncode:
@@ -70,7 +67,7 @@ def _asked(settings: str) -> bytes:
 
 
 def _learn(settings: dict[str, Any]) -> Facts:
-    from plp_lightning.envs.suites.robosuite_world import OBJECT, RobosuiteWorld
+    from plp_lightning.envs.suites.robosuite_world import RobosuiteWorld
 
     name, words = settings.pop("name"), settings.pop("make")
     world = RobosuiteWorld(Setup(tuple(settings.pop("robots")), make=tuple(words.items()), **settings), name)

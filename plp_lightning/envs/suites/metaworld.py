@@ -11,7 +11,7 @@ import numpy as np
 from datamodules.settings import NonNegativeInt, PositiveInt
 from datamodules.types import DomainSpec, ObservationKey
 from plp_lightning.envs.suites.simulator import Suite, pick_keys
-from plp_lightning.envs.suites.variant import Variant, choose
+from plp_lightning.envs.suites.variant import choose
 
 if TYPE_CHECKING:
     from plp_lightning.envs.suites.share import WorldRecipe
@@ -26,7 +26,7 @@ OBJECTS = (
 GOAL = ObservationKey("goal_pos", (3,), unit="m")
 LAST = tuple(ObservationKey(f"last_{key.name}", key.shape, unit=key.unit) for key in (*OWN, *OBJECTS))
 OFFERED = (*OWN, *OBJECTS, *LAST, GOAL)
-"""What Meta-World shows, in its order: 39 numbers."""
+"""All that Meta-World shows, in its order: 39 numbers."""
 ABOUT_OBJECTS = tuple(key.name for key in OFFERED if "object" in key.name or key is GOAL)
 VIEW = "corner2"  # the camera of films, where observations have none
 SCENE = "sawyer_reach_v3.xml"  # any of them: all have the same cameras
@@ -68,16 +68,13 @@ class MetaWorld(Suite):
         horizon: PositiveInt = 500,
         threads: NonNegativeInt = 0,
     ) -> None:
-        self._remember("Meta-World", tasks, cameras or (), image_size)
-        self.variants = [Variant.of(task, regions) for task in tasks]
+        self._remember("Meta-World", tasks, cameras or (), image_size, regions)
         self._keys = pick_keys(OFFERED, state, () if objects else ABOUT_OBJECTS, "Meta-World")
-        self.regions, self.horizon, self.threads = regions, horizon, threads
+        self.horizon, self.threads = horizon, threads
 
     def spec(self, name: str) -> DomainSpec:
         """The keys of the state, images ``(H, W, 3)`` by camera, and actions ``(4,)``."""
-        env = f"Meta-World{', ' * bool(self.cameras)}{', '.join(self.cameras)}"
-        if any(variant.cell != (None, None) for variant in self.variants):
-            env += f", {self.regions} regions"
+        env = ", ".join(["Meta-World", *self.cameras, *self._regions_told()])
         return DomainSpec(name, (*self._images, *self._keys), action_size=4, control_hz=80.0, env=env)
 
     def scripted(self, episodes: np.ndarray) -> np.ndarray:
@@ -105,8 +102,7 @@ class MetaWorld(Suite):
     def _recipe(self) -> WorldRecipe:
         from plp_lightning.envs.suites.metaworld_world import MetaWorldRecipe
 
-        view = self.cameras[0] if self.cameras else VIEW
-        origin = " ".join(("Meta-World", *self.cameras))
+        view, origin = (*self.cameras, VIEW)[0], " ".join(("Meta-World", *self.cameras))
         columns = _columns(self._keys)
         return MetaWorldRecipe(origin, self.regions, self.cameras, view, self.image_size, columns)
 

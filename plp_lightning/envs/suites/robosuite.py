@@ -12,14 +12,12 @@ from datamodules.errors import ConfigError
 from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import DomainSpec, ObservationKey
 from plp_lightning.envs.suites.facts import Facts, described, facts
-from plp_lightning.envs.suites.setup import Setup
+from plp_lightning.envs.suites.setup import OBJECT, Setup
 from plp_lightning.envs.suites.simulator import Suite, pick_keys
-from plp_lightning.envs.suites.variant import Variant
 
 if TYPE_CHECKING:
     from plp_lightning.envs.suites.share import WorldRecipe
 
-OBJECT = "object"  # all keys of objects one after the other
 VIEW = "frontview"  # the camera of films, where observations have none
 
 
@@ -72,11 +70,10 @@ class Robosuite(Suite):
         horizon: PositiveInt = 400,
         threads: NonNegativeInt = 0,
     ) -> None:
-        self._remember("robosuite", tasks, cameras or (), image_size)
-        self.variants = [Variant.of(task, regions) for task in tasks]
+        self._remember("robosuite", tasks, cameras or (), image_size, regions)
         robots = tuple(name.strip() for name in robot.split("+"))
         self.setup = Setup(robots, controller, control_hz, joint_noise, tuple(sorted((make or {}).items())))
-        self.state, self.objects, self.regions, self.spread = state, objects, regions, spread
+        self.state, self.objects, self.spread = state, objects, spread
         self.horizon, self.threads, self.turned = horizon, threads, turned
 
     def spec(self, name: str) -> DomainSpec:
@@ -96,9 +93,8 @@ class Robosuite(Suite):
     def _departures(self) -> list[str]:
         """Settings that change what is seen or done, where they are not usual."""
         setup = self.setup
-        cut = any(variant.cell != (None, None) for variant in self.variants)
         told = [f"joint noise {setup.joint_noise} rad", *(f"{name} {value}" for name, value in setup.make)]
-        told += [f"spread {self.spread:g}"] * (self.spread != 1.0) + [f"{self.regions} regions"] * cut
+        told += [f"spread {self.spread:g}"] * (self.spread != 1.0) + self._regions_told()
         told += ["objects not turned"] * (not self.turned)
         return [setup.controller or "", *told, *self.cameras]
 

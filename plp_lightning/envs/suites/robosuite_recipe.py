@@ -1,4 +1,4 @@
-"""How worlds of robosuite are made; robosuite itself is imported where one is."""
+"""Recipe of robosuite's worlds; robosuite itself is imported where one is."""
 
 from __future__ import annotations
 

@@ -5,7 +5,6 @@ Importing this module imports robosuite.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
@@ -14,10 +13,11 @@ import mujoco
 import numpy as np
 
 from datamodules.errors import ConfigError
+from plp_lightning.envs.lift.compiling import own_xml
 from plp_lightning.envs.lift.state import Workspace
 from plp_lightning.envs.suites.drives import drives
 from plp_lightning.envs.suites.quiet import quiet
-from plp_lightning.envs.suites.setup import Setup
+from plp_lightning.envs.suites.setup import OBJECT, Setup
 from plp_lightning.envs.suites.torques import hold
 from plp_lightning.envs.suites.variant import Variant, choose
 from plp_lightning.envs.suites.world import World
@@ -28,9 +28,7 @@ with quiet():
     from robosuite.models.robots.robot_model import REGISTERED_ROBOTS
     from robosuite.utils import RandomizationError
 
-OBJECT = "object"  # all keys of objects one after the other, by the name that robomimic's files give them
 TRIES = 50  # to place objects that don't touch
-ARENA = "16M"  # room for contacts in pictures' data
 
 
 _SCREENLESS: Mapping[str, Any] = {
@@ -168,11 +166,7 @@ class RobosuiteWorld(World):
         return bool(self.env._check_success())
 
     def scene(self) -> mujoco.MjSpec:
-        root = ET.fromstring(self.env.edit_model_xml(self.env.model.get_xml()))
-        for size in root.findall("size"):  # robosuite asks for room for thousands of contacts: a gigabyte
-            root.remove(size)
-        ET.SubElement(root, "size", memory=ARENA)
-        return mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+        return mujoco.MjSpec.from_string(own_xml(self.env))
 
 
 def _samplers(env: Any) -> Iterator[Any]:

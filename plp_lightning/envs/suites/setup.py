@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+OBJECT = "object"  # all keys of objects one after the other, by the name that robomimic's files give them
+
 
 @dataclass(frozen=True)
 class Setup:

@@ -91,7 +91,7 @@ class WorldShare:
         return _Running(world, pictures, world.take(), state, images)
 
     def _step(self, one: _Running, action: np.ndarray) -> tuple[bool, bool]:
-        """Whether the episode is solved and whether it is invalid."""
+        """Take a step; tells if the episode is solved, and if it is invalid."""
         if not np.isfinite(action).all():
             return False, True
         world = self._in_place(one)

@@ -1,4 +1,4 @@
-"""What the simulators of robosuite and Meta-World have in common: settings that are checked, and a pool of shares."""
+"""Common part of the simulators of robosuite and Meta-World: settings that are checked, and a pool of shares."""
 
 from __future__ import annotations
 
@@ -10,29 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from datamodules.errors import ConfigError
-from datamodules.types import Observation, ObservationKey
-from plp_lightning.envs.base import Simulator, Step, available_cores
-from plp_lightning.envs.pool import Pool
-from plp_lightning.envs.suites.variant import choose
+from datamodules.types import ObservationKey
+from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.pool import Pool, PooledSimulator
+from plp_lightning.envs.suites.variant import Variant, choose
 from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
     from plp_lightning.envs.suites.share import WorldRecipe
 
 
-class Suite(Simulator):
+class Suite(PooledSimulator):
     """Environments of a library by name, stepped by processes in which one environment holds one episode at a time."""
-
-    @property
-    def tasks(self) -> Tasks:
-        return self._tasks
-
-    def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
-        self.tasks.check(tasks)
-        return self._pool.reset(tasks, seeds)
-
-    def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
-        return self._pool.step(actions, episodes)
 
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """Pictures ``(n, H, W, 3)`` from the first camera of the observations, or from the library's usual one."""
@@ -46,13 +35,21 @@ class Suite(Simulator):
         self.spec("")  # tells what is wrong with names in one line, before processes are started
         return Pool(self._recipe(), self.threads or available_cores())
 
-    def _remember(self, family: str, tasks: Sequence[str], cameras: Sequence[str], image_size: int) -> None:
+    def _remember(
+        self, family: str, tasks: Sequence[str], cameras: Sequence[str], image_size: int, regions: int
+    ) -> None:
         kind = type(self).__name__
         if not tasks or len({*tasks}) < len(tasks):
             raise ConfigError(f"{kind}.tasks is {[*tasks]}; expected one name or more, each once")
         if not 8 <= image_size <= 512:
             raise ConfigError(f"{kind}.image_size is {image_size}; expected 8 to 512 pixels")
         self._tasks, self.cameras, self.image_size = Tasks(family, tuple(tasks)), tuple(cameras), image_size
+        self.variants, self.regions = [Variant.of(task, regions) for task in tasks], regions
+
+    def _regions_told(self) -> list[str]:
+        """The number of regions, if a task begins in one of them."""
+        cut = any(variant.cell != (None, None) for variant in self.variants)
+        return [f"{self.regions} regions"] * cut
 
     def _image_keys(self, known: Sequence[str]) -> tuple[ObservationKey, ...]:
         """A key for each camera, all of which have to be among the known."""

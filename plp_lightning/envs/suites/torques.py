@@ -19,7 +19,7 @@ OPERATIONAL, JOINTS = 0, 1  # laws: of the hand's pose, of the joints' angles
 
 
 class Drive(NamedTuple):
-    """What a controller wants of an arm with n joints in a control step."""
+    """Orders of a controller to an arm with n joints in a control step."""
 
     law: int  # OPERATIONAL or JOINTS
     site: int  # the hand, for the former, as is base: in whose frame the goal stands still
