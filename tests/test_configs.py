@@ -279,3 +279,13 @@ def test_each_method_keeps_its_own_weights_and_schedule_whatever_pages_set_for_p
         assert (weights["adversarial"], weights["penalty"], cdil["discriminator_layers"]) == (10.0, 0.1, 3)
         assert cdil["lr_scheduler"]["class_path"].endswith("LinearDecay")
         assert cdil["optimizer"]["init_args"]["first_moment"] == 0.5
+
+
+@pytest.mark.parametrize("method", ["bc", "cdil", "contextual", "gama", "gama_state"])
+def test_sizes_that_pages_state_are_of_plps_networks_alone(method: str) -> None:
+    """A Transformer's decoder once had one block, since P2P-medium's action decoder has one layer."""
+    files = [path for path in EXPERIMENTS if path.stem != "smoke"]  # which makes every method small
+    for page in files:
+        said = yaml.safe_load(page.read_text())["policy"]["init_args"]
+        tree = resolve(["--config", str(page), "--config", str(METHODS[0].with_stem(method))], ALLOWED_IMPORTS).tree
+        assert not [name for name in tree["policy"]["init_args"] if isinstance(said.get(name), int)], page.stem

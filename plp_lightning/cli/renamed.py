@@ -9,6 +9,7 @@ from datamodules.errors import ConfigError
 from plp_lightning.cli.classes import find_class
 from plp_lightning.cli.layers import insert
 from plp_lightning.cli.yaml_files import Tree
+from plp_lightning.methods.upgrade import SETTINGS
 
 GROUPS: Mapping[str, Mapping[str, str]] = {
     "data": {"target": "target_task", "held_out": "val_fraction", "mix": "mix_ratio"},
@@ -100,7 +101,7 @@ def _table(place: str, class_path: str) -> Mapping[str, str]:
     """Places of the old settings of a policy or phase now; they depend on its class."""
     kind = class_path.rpartition(".")[2]
     if place == "policy":
-        return {"clip": ""} if kind in ("GamaPolicy", "CdilPolicy") else POLICY
+        return {**({"clip": ""} if kind in ("GamaPolicy", "CdilPolicy") else POLICY), **SETTINGS.get(kind, {})}
     special = {"Alignment": ALIGNMENT, "StateOnlyAlignment": ALIGNMENT, "CdilAlignment": CDIL}
     return {**PHASE, **special.get(kind, {})}
 

@@ -15,6 +15,11 @@ PREFIXES = {
     "policy.perception.eyes.": "policy.perception.image_encoders.",
 }
 """New prefixes of parameters by their old ones; the first two of the portable policy's alignment alone."""
+SETTINGS: Mapping[str, Mapping[str, str]] = {
+    "ContextualPolicy": {"encoder_layers": "encoder_blocks", "decoder_layers": "decoder_blocks"},
+    "CdilPolicy": {f"{part}_layers": f"translator_{part}_layers" for part in ("encoder", "decoder")},
+}
+"""New names of policies' settings by class. They had the names of PLP's own networks, whose sizes pages state."""
 ONLY_ENCODER = re.compile(r"\bimage_encoder\.(convolutions|linear)\.")
 """Names from when all images had one shape; networks take them as those of their only shape when they load them."""
 
@@ -57,4 +62,11 @@ def upgrade_recipe(class_path: str, architecture: Mapping[str, Any]) -> dict[str
     if "image_features" in settings:  # the others keep their image_channels
         sizes = tuple(settings.pop("image_channels")), settings.pop("image_features")
         settings["image_encoder"] = recipe(ImageEncoding(*sizes))
-    return {"class_path": f"plp_lightning.methods.{short}", "init_args": settings}
+    return with_todays_settings({"class_path": f"plp_lightning.methods.{short}", "init_args": settings})
+
+
+def with_todays_settings(policy: Mapping[str, Any]) -> dict[str, Any]:
+    """The recipe of a policy with today's names of its settings."""
+    names = SETTINGS.get(str(policy["class_path"]).rpartition(".")[2], {})
+    said = policy.get("init_args", {})
+    return {**policy, "init_args": {names.get(name, name): value for name, value in said.items()}}

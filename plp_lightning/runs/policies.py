@@ -14,7 +14,7 @@ from datamodules.problem import TransferProblem
 from datamodules.settings import build
 from plp_lightning.callbacks.checkpointing import check_owner, read_checkpoint
 from plp_lightning.methods.policy import Policy
-from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe
+from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe, with_todays_settings
 from plp_lightning.plugins import plugins
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.export import SUFFIXES, read_safetensors
@@ -104,7 +104,7 @@ def checkpoint_of(run: RunDirectory, phase: str | None, which: str | None) -> Pa
 def _recipe(record: Mapping[str, Any], checkpoint: Path) -> Mapping[str, Any]:
     """Class and settings of a policy; earlier versions kept the class in the run's configuration alone."""
     if "class_path" in record:
-        return record
+        return with_todays_settings(record)
     config = checkpoint.parents[2] / "config.yaml"
     if not config.is_file():
         raise CheckpointError(f"{checkpoint}: does not say of which class its policy is; expected {config} beside it")

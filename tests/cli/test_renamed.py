@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from command import SMOKE, plp
+from command import ROOT, SMOKE, plp
 
 from datamodules.errors import ConfigError
 from plp_lightning.cli.config import parse
@@ -167,6 +167,24 @@ def test_old_flags_are_understood_and_told(
     assert at(found, key) == value
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"plp: flags: names have changed: {flags[0].split('=')[0]} is --")
+
+
+@pytest.mark.parametrize(
+    ("method", "old", "new"),
+    [
+        ("cdil", "encoder_layers", "translator_encoder_layers"),
+        ("cdil", "decoder_layers", "translator_decoder_layers"),
+        ("contextual", "encoder_layers", "encoder_blocks"),
+        ("contextual", "decoder_layers", "decoder_blocks"),
+    ],
+)
+def test_networks_that_are_no_part_of_plp_have_names_of_their_own(
+    method: str, old: str, new: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    overlay = ["--config", str(ROOT / "configs" / "methods" / f"{method}.yaml")]
+    found = yaml.safe_load(parse([*SMOKE, *overlay, f"--policy.{old}", "2"]).config)
+    assert found["policy"]["init_args"][new] == 2
+    assert f"--policy.{old} is --policy.{new}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,9 @@ Learned = tuple[CdilPolicy, TransferDataModule]
 
 def small_policy(data: TransferDataModule) -> CdilPolicy:
     torch.manual_seed(0)
-    return CdilPolicy(data.problem, latent=16, hidden=48, encoder_layers=1, policy_layers=2, decoder_layers=1)
+    return CdilPolicy(
+        data.problem, latent=16, hidden=48, translator_encoder_layers=1, policy_layers=2, translator_decoder_layers=1
+    )
 
 
 def train(phase: Phase[CdilPolicy], data: TransferDataModule) -> None:

@@ -46,7 +46,9 @@ def data(trajectory_file: Path) -> TransferDataModule:
 @pytest.fixture
 def policy(data: TransferDataModule) -> CdilPolicy:
     torch.manual_seed(0)
-    return CdilPolicy(data.problem, latent=8, hidden=16, encoder_layers=1, policy_layers=1, decoder_layers=1)
+    return CdilPolicy(
+        data.problem, latent=8, hidden=16, translator_encoder_layers=1, policy_layers=1, translator_decoder_layers=1
+    )
 
 
 def begin(phase: CdilPhase, data: TransferDataModule, monkeypatch: pytest.MonkeyPatch) -> None:

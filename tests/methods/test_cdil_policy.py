@@ -20,7 +20,9 @@ def data(trajectory_file: Path) -> TransferDataModule:
 @pytest.fixture
 def policy(data: TransferDataModule) -> CdilPolicy:
     torch.manual_seed(0)
-    return CdilPolicy(data.problem, latent=8, hidden=16, encoder_layers=1, policy_layers=1, decoder_layers=1)
+    return CdilPolicy(
+        data.problem, latent=8, hidden=16, translator_encoder_layers=1, policy_layers=1, translator_decoder_layers=1
+    )
 
 
 def test_encode_brings_all_states_into_the_scaled_target_space(data: TransferDataModule, policy: CdilPolicy) -> None:
@@ -44,7 +46,9 @@ def test_each_domain_acts_with_a_clone_of_its_own(data: TransferDataModule, poli
 def test_source_and_target_are_those_of_the_problem_not_the_first_and_the_last(data: TransferDataModule) -> None:
     problem = data.problem
     turned = type(problem)(problem.domains, problem.tasks, "tall", "flat", problem.statistics)
-    policy = CdilPolicy(turned, latent=4, hidden=8, encoder_layers=1, policy_layers=1, decoder_layers=1)
+    policy = CdilPolicy(
+        turned, latent=4, hidden=8, translator_encoder_layers=1, policy_layers=1, translator_decoder_layers=1
+    )
     assert policy.encode({"tall": tiny.observe(np.zeros((2, 5)))})["tall"].shape == (2, 3)
 
 

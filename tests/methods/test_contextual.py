@@ -164,8 +164,8 @@ def test_episodes_longer_than_its_memory_are_an_error(data: TransferDataModule) 
         ({"max_length": 0}, r"max_length is 0; expected a whole number, at least 1"),
         ({"heads": 0}, r"heads is 0; expected a whole number, at least 1"),
         (
-            {"decoder_layers": 0},
-            r"decoder_layers is 0; expected a whole number from 1 to 1000",
+            {"decoder_blocks": 0},
+            r"decoder_blocks is 0; expected a whole number from 1 to 1000",
         ),
     ],
 )

@@ -44,7 +44,7 @@ def gama(data: TransferDataModule) -> list[Phase]:
 
 
 def cdil(data: TransferDataModule) -> list[Phase]:
-    policy = CdilPolicy(data.problem, latent=4, encoder_layers=1, decoder_layers=1, **SMALL)  # type: ignore[arg-type]
+    policy = CdilPolicy(data.problem, latent=4, translator_encoder_layers=1, translator_decoder_layers=1, **SMALL)  # type: ignore[arg-type]
     return [CdilPositions(policy), CdilAlignment(policy), CdilDynamics(policy), CdilAdaptation(policy)]
 
 

@@ -84,9 +84,9 @@ class CdilPolicy(TranslatingPolicy):
         problem: Domains and tasks; exactly two domains.
         latent: Z, size of the latent space that the translation passes through.
         hidden: Units in every hidden layer.
-        encoder_layers: Hidden layers of the translation's encoders.
+        translator_encoder_layers: Hidden layers of the translation's encoders.
         policy_layers: Hidden layers of position models, inverse dynamics and clones.
-        decoder_layers: Hidden layers of the translation's decoders.
+        translator_decoder_layers: Hidden layers of the translation's decoders.
         scaling: Scaling of raw states, by observation key; ``default`` serves keys that are not named.
         image_channels: Channels of each convolution of the image encoders; without any, images are left aside.
     """
@@ -96,9 +96,9 @@ class CdilPolicy(TranslatingPolicy):
         problem: TransferProblem,
         latent: PositiveInt = 192,
         hidden: PositiveInt = 192,
-        encoder_layers: Depth = 3,
+        translator_encoder_layers: Depth = 3,
         policy_layers: Depth = 3,
-        decoder_layers: Depth = 3,
+        translator_decoder_layers: Depth = 3,
         scaling: dict[str, Scaling] | None = None,
         image_channels: tuple[PositiveInt, ...] = (32, 32, 16),
     ) -> None:
@@ -111,7 +111,7 @@ class CdilPolicy(TranslatingPolicy):
         self.positions = nn.ModuleDict(
             {role: TaskNetwork(size, tasks, 1, hidden, policy_layers) for role, size in sizes.items()}
         )
-        self.translator = Translator(sizes, latent, hidden, encoder_layers, decoder_layers)
+        self.translator = Translator(sizes, latent, hidden, translator_encoder_layers, translator_decoder_layers)
         self.inverse_dynamics = mlp(2 * sizes["target"], hidden, policy_layers, actions["target"])
         self.clones = nn.ModuleDict(
             {role: TaskNetwork(size, tasks, actions[role], hidden, policy_layers) for role, size in sizes.items()}

@@ -33,8 +33,8 @@ class ContextualPolicy(Policy):
         problem: Two domains, and tasks.
         hidden: Units of every frame.
         heads: Attention heads of each layer.
-        encoder_layers: Layers that read the demonstration.
-        decoder_layers: Layers that read the episode.
+        encoder_blocks: Transformer layers that read the demonstration.
+        decoder_blocks: Transformer layers that read the episode.
         feed_forward: Units of each layer's feed-forward network.
         dropout: Share of units that training leaves out.
         max_length: Most steps of an episode or a demonstration. Of longer demonstrations the last steps are shown,
@@ -51,8 +51,8 @@ class ContextualPolicy(Policy):
         problem: TransferProblem,
         hidden: PositiveInt = 256,
         heads: PositiveInt = 8,
-        encoder_layers: Depth = 3,
-        decoder_layers: Depth = 3,
+        encoder_blocks: Depth = 3,
+        decoder_blocks: Depth = 3,
         feed_forward: PositiveInt = 1024,
         dropout: Fraction = 0.2,
         max_length: PositiveInt = 1200,
@@ -68,8 +68,8 @@ class ContextualPolicy(Policy):
         self.prompts = Prompts(self.source, problem.tasks, self.sees)
         self.shown = FrameEmbedding(self.source, self.source.action_size, hidden, max_length, dropout, image_encoder)
         self.seen = FrameEmbedding(self.target, 0, hidden, max_length, dropout, image_encoder)
-        self.encoder = TransformerEncoder(hidden, heads, encoder_layers, feed_forward, dropout)
-        self.decoder = TransformerDecoder(hidden, heads, decoder_layers, feed_forward, dropout)
+        self.encoder = TransformerEncoder(hidden, heads, encoder_blocks, feed_forward, dropout)
+        self.decoder = TransformerDecoder(hidden, heads, decoder_blocks, feed_forward, dropout)
         self.head = nn.Linear(hidden, self.target.action_size)
 
     @property
