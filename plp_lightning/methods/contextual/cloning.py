@@ -11,6 +11,7 @@ from datamodules.settings import PositiveInt
 from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch, BatchSpec
 from plp_lightning.losses import behavioural_cloning
+from plp_lightning.methods.contextual.denormals import without_denormals
 from plp_lightning.methods.contextual.policy import ContextualPolicy, first_frames, last_frames
 from plp_lightning.methods.optimization import FusedAdamW, OptimizerFactory, SchedulerFactory
 from plp_lightning.methods.phase import Phase
@@ -50,7 +51,7 @@ class ContextualCloning(Phase[ContextualPolicy]):
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         loss, frames = self._loss(batch)
         self.log_parts({"bc": loss}, frames)
-        return loss
+        return without_denormals(loss)
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         loss, frames = self._loss(batch)
