@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import copy
 import io
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -66,7 +68,7 @@ def read(arguments: Sequence[str]) -> tuple[Experiment, list[str]]:
     allowed = [*ALLOWED_IMPORTS, *plugins(), *own]
     allow_imports(allowed)
     found = resolve(arguments, allowed)
-    parser = build_parser(found.tree["phases"])
+    parser = _parser_of(*found.tree["phases"])
     config = parsed(parser, ["--config", dump_yaml(found.tree), *found.flags])
     files = map(find_page, option_values(arguments, "config"))
     named = (file.stem for file in files if file.parent.name != "methods")
@@ -196,6 +198,12 @@ def help_parser(arguments: Sequence[str]) -> ArgumentParser:
     return build_parser(_phase_names(_contents(arguments).values(), option_values(arguments, "phases")))
 
 
+@lru_cache(maxsize=8)
+def _parser_of(*phases: str) -> ArgumentParser:
+    """The same parser for each run of these phases: a sweep reads many."""
+    return build_parser(phases)
+
+
 def build_parser(phases: Sequence[str]) -> ArgumentParser:
     """Parser for an experiment whose method has these phases; each phase is a key of its own."""
     parser = ArgumentParser(prog="plp fit", exit_on_error=False)
@@ -262,10 +270,14 @@ def _check_package(name: str) -> None:
 
 def _value(text: str) -> Any:
     """Value of a word of the command line; ``{a, b}`` and ``a:`` are words."""
-    value = parse_yaml(text)
+    value = copy.deepcopy(_parsed_yaml(text))
     if isinstance(value, dict) and value and "\n" not in text and all(x is None for x in value.values()):
         return text
     return value
+
+
+_parsed_yaml = lru_cache(maxsize=8)(parse_yaml)
+"""The parser asks for the value of a whole page twice."""
 
 
 def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:

@@ -29,14 +29,27 @@ def keep(parser: ArgumentParser, config: Namespace, dropped: Sequence[str]) -> T
     """
     kept = _plain(parser, config)
     try:
-        again = _plain(parser, parser.parse_args(["--config", dump_yaml(kept)]))
+        again = parser.parse_args(["--config", dump_yaml(kept)])
     except ArgumentError as error:
         raise ConfigError(f"the configuration can't be kept, for it is not read again: {error}") from None
-    if changed := first_change(kept, again):
+    if not _is_same(config, again) and (changed := first_change(kept, _plain(parser, again))):
         raise ConfigError(f"{changed} can't be kept in a file; expected plain data there: leave it away")
     for key in dropped:
         insert(kept, key, None)
     return kept
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Tell whether two parsed configurations are alike to the last type; if not, they may still be kept as the same."""
+    if isinstance(one, Namespace) and isinstance(other, Namespace):
+        return _is_same({**vars(one), "config": None}, {**vars(other), "config": None})
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, dict):
+        return [*one] == [*other] and all(map(_is_same, one.values(), other.values()))
+    if isinstance(one, list | tuple):
+        return len(one) == len(other) and all(map(_is_same, one, other))
+    return one is other or (isinstance(one, bool | int | float | str) and repr(one) == repr(other))
 
 
 def _plain(parser: ArgumentParser, config: Namespace) -> Tree:
