@@ -64,7 +64,7 @@ def data_root() -> Path:
     """Folder with the smoke experiment's demonstrations, collected once; smaller runs read fewer of them."""
     folder = tempfile.mkdtemp()
     atexit.register(shutil.rmtree, folder)
-    answer = plp("collect", *SMOKE, "--data.root", folder)
+    answer = plp("collect", *SMOKE, "--data.root", folder, "--collection.processes", "1")
     assert answer.code == 0, answer
     return Path(folder)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 # Before any library starts its threads or its plots.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,16 @@ from plp_lightning.runs.trainer import quiet_lightning
 torch.set_num_threads(1)
 settings.register_profile("plp", deadline=None, derandomize=True, database=None)
 settings.load_profile("plp")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _in_a_hurry() -> Iterator[None]:
+    """What was imported stays, so it is not searched for garbage; no test cuts the power, so none waits for a disk."""
+    gc.collect()
+    gc.freeze()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
 
 
 @pytest.fixture(scope="session")
