@@ -130,7 +130,7 @@ def test_who_looks_sees_the_average_that_a_slow_loop_comes_to(
 @pytest.mark.parametrize("method", KINDS)
 def test_every_phase_of_every_method_hands_on_an_average_and_its_best_epoch(method: str, tmp_path: Path) -> None:
     words = ["--config", str(OVERLAYS[method]), "--handover.average_over", "0.3", "--handover.epoch", "best"]
-    answer = plp("fit", *tiny_smoke(tmp_path), *words)
+    answer = plp("fit", *tiny_smoke(tmp_path), *words, "--trainer.max_epochs", "2")
     assert (answer.code, answer.err) == (0, "")
     run = smoke_run(tmp_path, method)
     for phase in run.done_phases():

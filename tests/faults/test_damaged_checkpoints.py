@@ -23,7 +23,7 @@ def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     """A run of a method, with checkpoints after training steps of all kinds."""
     root = tmp_path_factory.mktemp("finished")
     overlay = Path(__file__).parents[2] / "configs" / "methods" / f"{request.param}.yaml"
-    answer = plp("fit", *tiny_smoke(root), "--config", overlay)
+    answer = plp("fit", *tiny_smoke(root), "--config", overlay, "--trainer.max_epochs", "2")
     assert answer.code == 0, answer
     return smoke_run(root, request.param)
 
