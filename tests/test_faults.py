@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from command import SMOKE, complaint, data_root, plp, smoke_run, tiny_smoke
+from command import SMOKE, complaint, data_root, finished_smoke, plp, smoke_run, tiny_smoke
 
 from datamodules.errors import UserError
 from datamodules.store.writer import write_trajectories
@@ -25,10 +25,7 @@ from plp_lightning.runs.directory import RunDirectory
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    root = tmp_path_factory.mktemp("finished")
-    answer = plp("fit", *tiny_smoke(root))
-    assert answer.code == 0, answer
-    return smoke_run(root)
+    return finished_smoke(tmp_path_factory.mktemp("finished"))
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import strange
-from command import plp, results, smoke_run, tiny_smoke
+from command import finished_smoke, plp, results, tiny_smoke
 from PIL import Image, ImageSequence
 
 from datamodules.types import Actor
@@ -25,9 +25,7 @@ FEW = ["--episodes", "1", "--among", "2", "--size", "16", "16"]
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    root = tmp_path_factory.mktemp("rollout")
-    assert plp("fit", *tiny_smoke(root)).code == 0
-    return smoke_run(root)
+    return finished_smoke(tmp_path_factory.mktemp("rollout"))
 
 
 class Skilled:

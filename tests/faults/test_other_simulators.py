@@ -13,7 +13,7 @@ import pytest
 import strange
 import tiny
 import torch
-from command import SMOKE, TINY, checkpoint, complaint, data_root, plp, smoke_run, tiny_smoke
+from command import SMOKE, TINY, checkpoint, complaint, data_root, finished_smoke, plp, smoke_run, tiny_smoke
 
 import plp_lightning
 from datamodules.errors import CheckpointError, ConfigError, TrajectoryFileError
@@ -135,9 +135,7 @@ OTHERS = {
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    root = tmp_path_factory.mktemp("runs")
-    assert plp("fit", *tiny_smoke(root)).code == 0
-    return smoke_run(root)
+    return finished_smoke(tmp_path_factory.mktemp("runs"))
 
 
 def never(*_: object, **__: object) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command import SMOKE, complaint, plp, smoke_run, tiny_smoke
+from command import SMOKE, complaint, finished_smoke
 
 from datamodules.errors import UserError
 from plp_lightning.envs import LinearPoint
@@ -21,9 +21,7 @@ FEW = ["--episodes", "1", "--among", "2", "--size", "16", "16"]
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    root = tmp_path_factory.mktemp("rollout")
-    assert plp("fit", *tiny_smoke(root)).code == 0
-    return smoke_run(root)
+    return finished_smoke(tmp_path_factory.mktemp("rollout"))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command import checkpoint, complaint, plp, results, same, smoke_run, tiny_smoke
+from command import checkpoint, complaint, finished_smoke, plp, results, same, tiny_smoke
 
 from plp_lightning.runs.directory import RunDirectory
 
@@ -18,10 +18,7 @@ DONE = {"state": "done", "seconds": 1, "trials": {}, "alignment": {}}
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    root = tmp_path_factory.mktemp("finished")
-    answer = plp("fit", *tiny_smoke(root))
-    assert answer.code == 0, answer
-    return smoke_run(root)
+    return finished_smoke(tmp_path_factory.mktemp("finished"))
 
 
 @pytest.fixture

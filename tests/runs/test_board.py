@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command import plp, smoke_run, tiny_smoke
+from command import finished_smoke, plp, smoke_run, tiny_smoke
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.custom_scalar import layout_pb2
 
@@ -18,9 +18,7 @@ from plp_lightning.runs.directory import RunDirectory
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    root = tmp_path_factory.mktemp("board")
-    assert plp("fit", *tiny_smoke(root)).code == 0
-    return smoke_run(root)
+    return finished_smoke(tmp_path_factory.mktemp("board"))
 
 
 def events_of(run: RunDirectory, phase: str) -> EventAccumulator:
