@@ -6,6 +6,7 @@ import json
 from argparse import ArgumentError
 from collections.abc import Sequence
 from enum import Enum
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ def keep(parser: ArgumentParser, config: Namespace, dropped: Sequence[str]) -> T
     """
     kept = _plain(parser, config)
     try:
-        again = parser.parse_args(["--config", dump_yaml(kept)])
+        again = _read_again(parser, dump_yaml(kept))
     except ArgumentError as error:
         raise ConfigError(f"the configuration can't be kept, for it is not read again: {error}") from None
     if not _is_same(config, again) and (changed := first_change(kept, _plain(parser, again))):
@@ -37,6 +38,13 @@ def keep(parser: ArgumentParser, config: Namespace, dropped: Sequence[str]) -> T
     for key in dropped:
         insert(kept, key, None)
     return kept
+
+
+@lru_cache(maxsize=8)
+def _read_again(parser: ArgumentParser, text: str) -> Namespace:
+    """What a parser reads in a text; who looks at a run several times asks again."""
+    read: Namespace = parser.parse_args(["--config", text])
+    return read
 
 
 def _is_same(one: Any, other: Any) -> bool:
@@ -56,7 +64,7 @@ def _plain(parser: ArgumentParser, config: Namespace) -> Tree:
     copied = config.clone()
     _drop_objects(copied)
     try:
-        tree: Tree = json.loads(parser.dump(copied, format="json", skip_unset=False))
+        tree: Tree = json.loads(parser.dump(copied, format="json", skip_unset=False, skip_validation=True))
     except (TypeError, ValueError) as error:
         raise ConfigError(f"the configuration holds what no file can ({error}); leave it away") from None
     return tree
