@@ -48,7 +48,8 @@ def words(
 ) -> list[str]:
     """Options of a tiny run on the file's domains, from the last but one to the last."""
     data: dict[str, Any] = {"source_domain": domains[-2].name, "target_domain": domains[-1].name}
-    data |= {"target_task": "lift", "file": str(demonstrations), "batch_size": 12, "pairs": 2, "stride": 2}
+    data |= {"target_task": "lift", "file": str(demonstrations)}
+    data |= {"batch_size": 12, "epoch_steps": 5, "pairs": 2, "stride": 2}
     config: dict[str, Any] = {"experiment": "cameras", "domains": {spec.name: {} for spec in domains}, "data": data}
     if method.startswith("plp"):
         policy = SIZES | policy

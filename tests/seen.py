@@ -55,7 +55,7 @@ def data_module(
     """Demonstrations of the file at ``path``: left is the source, right the target domain."""
     roles = TransferRoles(("left", "right"), "left", "right", TASKS, PROXIES, TARGET, (TARGET,))
     demonstrations = Demonstrations(trajectories=trajectories, target_trajectories=4, val_fraction=0.2)
-    batching = Batching(batch_size=batch_size, pairs=3, stride=4)
+    batching = Batching(batch_size=batch_size, epoch_steps=1, pairs=3, stride=4)
     return TransferDataModule(path, roles, demonstrations, batching, image_memory=image_memory)
 
 
