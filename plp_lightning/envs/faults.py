@@ -88,8 +88,8 @@ def check_step(simulator: object, found: Step, spec: DomainSpec, count: int) -> 
     check_observation(simulator, found.observation, spec, count)
     for name in ("success", "invalid") if found.over is None else ("success", "invalid", "over"):
         _expect(simulator, name, getattr(found, name), (count,), np.bool_)
-    lost = ~np.isfinite(found.observation.state).all(axis=1)
-    return found._replace(invalid=found.invalid | lost) if lost.any() else found
+    finite = np.isfinite(found.observation.state)
+    return found if finite.all() else found._replace(invalid=found.invalid | ~finite.all(axis=1))
 
 
 def unseen(spec: DomainSpec, count: int) -> Observation[np.ndarray]:

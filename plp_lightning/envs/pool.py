@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import pickle
 import signal
 import traceback
 import weakref
@@ -18,13 +19,14 @@ import numpy as np
 from datamodules.errors import UserError
 from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.board import BOARD, Board, part_of_board, shared_board
 from plp_lightning.envs.tasks import Tasks
 
-_TOLD = ("success", "invalid")
+_BELL = b""  # asks for a step, and answers that it was taken
 
 
 class Share(Protocol):
-    """Episodes of one process. What else it has can be asked for by :meth:`Pool.rows`."""
+    """Episodes of one process. What else it has can be asked for by ``rows``."""
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Begin episodes ``(E,)``; gives their first observations."""
@@ -62,63 +64,102 @@ class PooledSimulator(Simulator):
 
 
 class Pool:
-    """So many processes with a share of the episodes each; episode i is in share i modulo their number.
+    """Shares of the episodes, the first in this process, each other one in its own; episode i is in share i modulo n.
 
-    One share alone stays in this process.
+    A process that only asked and waited would drive those that step from core to core, away from what they have cached.
 
     Args:
         recipe: Makes the shares.
-        count: Number of shares.
+        count: Their number n.
     """
 
     def __init__(self, recipe: Recipe, count: int) -> None:
-        self.shares: list[Share | Connection] = (
-            [recipe.share()] if count == 1 else [_begun(recipe) for _ in range(count)]
-        )
-        weakref.finalize(self, _close, self.shares)
+        others = [_begun(recipe) for _ in range(1, count)]
+        weakref.finalize(self, _close, others)
+        self.count, self.share, self.others = count, _Served(recipe.share()), others
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Begin E episodes; gives their first observations ``(E, …)``."""
         rows = self._by_share(np.arange(len(tasks)))
-        asked = {i: ([tasks[row] for row in at], [seeds[row] for row in at]) for i, at in rows.items()}
-        return _shown(self._ask("reset", asked), rows)
+        parts = self._asked("reset", {i: ([tasks[k] for k in at], [seeds[k] for k in at]) for i, at in rows.items()})
+        names = next(iter(parts.values())).images
+        images = {name: _joined({i: part.images[name] for i, part in parts.items()}, rows) for name in names}
+        self._first = Observation(_joined({i: part.state for i, part in parts.items()}, rows), images)
+        self._board: Board | None = None
+        return self._first
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Take a step in the episodes ``(n,)``, with actions ``(n, A)``."""
-        rows = self._by_share(episodes)
-        parts = self._ask("step", {i: (actions[at], self._places(episodes[at])) for i, at in rows.items()})
-        shown = _shown({i: part.observation for i, part in parts.items()}, rows)
-        success, invalid = (_joined({i: getattr(part, told) for i, part in parts.items()}, rows) for told in _TOLD)
-        ended = {i: part.over for i, part in parts.items() if part.over is not None}
-        return Step(shown, success, invalid, _joined(ended, rows) if ended else None)
+        if self.count == 1:
+            return self.share.share.step(actions, episodes)
+        if self._board is None:
+            self._board, self.share.board = shared_board(self.others, self._first, actions.shape[1])
+        self._board.ask(actions, episodes)
+        self._answers(dict.fromkeys({*(episodes % self.count).tolist()}, _BELL))
+        return self._board.step(episodes)
 
     def rows(self, what: str, episodes: np.ndarray, *words: object) -> np.ndarray:
         """Rows ``(n, …)`` of the episodes ``(n,)`` by the shares' method of this name, which also takes ``words``."""
         rows = self._by_share(episodes)
-        parts = self._ask(what, {i: (self._places(episodes[at]), *words) for i, at in rows.items()})
+        parts = self._asked(what, {i: (episodes[at] // self.count, *words) for i, at in rows.items()})
         return _joined({i: np.stack(given) for i, given in parts.items()}, rows)
 
     def _by_share(self, episodes: np.ndarray) -> dict[int, np.ndarray]:
         """Rows of each share that has some of the episodes ``(n,)``."""
-        share = episodes % len(self.shares)
-        rows = {i: np.flatnonzero(share == i) for i in range(len(self.shares))}
+        share = episodes % self.count
+        rows = {i: np.flatnonzero(share == i) for i in range(self.count)}
         return {i: at for i, at in rows.items() if len(at)}
 
-    def _places(self, episodes: np.ndarray) -> np.ndarray:
-        """Places of episodes ``(n,)`` of one share in it."""
-        return episodes // len(self.shares)
+    def _asked(self, what: str, words: Mapping[int, tuple[Any, ...]]) -> dict[int, Any]:
+        """Answers of shares that are asked, all at once, for what they do."""
+        return self._answers({i: pickle.dumps((what, own)) for i, own in words.items()})
 
-    def _ask(self, what: str, words: dict[int, tuple[Any, ...]]) -> dict[int, Any]:
-        """Ask shares, all at once, for what they do; gives their answers."""
-        asked = {i: self.shares[i] for i in words}
-        for i, share in asked.items():
-            if isinstance(share, Connection):
-                with contextlib.suppress(OSError):  # whether it died shows when it is listened to
-                    share.send((what, words[i]))
-        return {
-            i: _answer(share) if isinstance(share, Connection) else getattr(share, what)(*words[i])
-            for i, share in asked.items()
-        }
+    def _answers(self, messages: Mapping[int, bytes]) -> dict[int, Any]:
+        others = {i: self.others[i - 1] for i in messages if i}
+        for i, line in others.items():
+            with contextlib.suppress(OSError):  # whether it died shows when it is listened to
+                line.send_bytes(messages[i])
+        found = {0: self._tried(messages[0])} if 0 in messages else {}
+        found |= {i: _heard(line) for i, line in others.items()}  # all, so that none is left for the next question
+        for answer in found.values():
+            if isinstance(answer, Exception):
+                raise answer
+        return found
+
+    def _tried(self, message: bytes) -> Any:
+        try:
+            return self.share.answer(message)
+        except Exception as error:
+            return error
+
+
+class _Served:
+    """A share that does what messages ask for: a step of what the board says, or what it can beside that."""
+
+    def __init__(self, share: Share) -> None:
+        self.share = share
+        self.board: Board | None = None
+
+    def answer(self, message: bytes) -> Any:
+        """What a message brought about; None for a step, whose outcome the board has."""
+        if message != _BELL:
+            what, words = pickle.loads(message)
+            return getattr(self.share, what)(*words)
+        assert self.board is not None, "expected the board before the first step"
+        actions, episodes = self.board.asked()
+        self.board.tell(self.share.step(actions, episodes), episodes)
+        return None
+
+    def told(self, message: bytes) -> bytes:
+        """The same or what went wrong, as another process reads it."""
+        try:
+            found = self.answer(message)
+        except UserError as error:
+            found = UserError(str(error))
+        except Exception as error:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            found = RuntimeError(f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})")
+        return _BELL if found is None else pickle.dumps(found)
 
 
 def _joined(parts: Mapping[int, np.ndarray], rows: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -130,13 +171,6 @@ def _joined(parts: Mapping[int, np.ndarray], rows: Mapping[int, np.ndarray]) -> 
     return whole
 
 
-def _shown(parts: Mapping[int, Observation[np.ndarray]], rows: Mapping[int, np.ndarray]) -> Observation[np.ndarray]:
-    """Observations ``(n, …)`` of all shares in their order."""
-    names = next(iter(parts.values())).images
-    images = {name: _joined({i: part.images[name] for i, part in parts.items()}, rows) for name in names}
-    return Observation(_joined({i: part.state for i, part in parts.items()}, rows), images)
-
-
 def _begun(recipe: Recipe) -> Connection:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
@@ -145,39 +179,29 @@ def _begun(recipe: Recipe) -> Connection:
     return here
 
 
-def _close(shares: Sequence[Share | Connection]) -> None:
-    for share in shares:
-        if isinstance(share, Connection):
-            share.close()  # its process hears the end of the line
+def _close(lines: Sequence[Connection]) -> None:
+    for line in lines:
+        line.close()  # its process hears the end of the line
 
 
-def _answer(share: Connection) -> Any:
+def _heard(line: Connection) -> Any:
     try:
-        found = share.recv()
-    except (EOFError, OSError) as error:
-        raise RuntimeError("a process that steps environments has died") from error
-    if isinstance(found, BaseException):
-        raise found
-    return found
+        told = line.recv_bytes()
+    except (EOFError, OSError):
+        return RuntimeError("a process that steps environments has died")
+    return None if told == _BELL else pickle.loads(told)
 
 
-def _serve(connection: Connection, recipe: Recipe) -> None:
+def _serve(line: Connection, recipe: Recipe) -> None:
     """Do what is asked for until the other end is closed, in a process of its own."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
         signal.signal(number, signal.SIG_IGN)  # the parent hears them
-    share = recipe.share()
+    served = _Served(recipe.share())
     with contextlib.suppress(EOFError, OSError):
         while True:
-            what, words = connection.recv()
-            connection.send(_done(share, what, words))
+            message = line.recv_bytes()
+            if message == BOARD:
+                served.board = part_of_board(line)
+            else:
+                line.send_bytes(served.told(message))
     os._exit(0)
-
-
-def _done(share: Share, what: str, words: tuple[Any, ...]) -> Any:
-    try:
-        return getattr(share, what)(*words)
-    except UserError as error:
-        return UserError(str(error))
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        return RuntimeError(f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})")

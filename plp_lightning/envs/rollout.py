@@ -84,12 +84,14 @@ def rollout(
             break
         for observer in observers:
             observer.step(actions, step, running)
-        solved_at[running[step.success]] = np.minimum(solved_at[running[step.success]], t)
-        invalid[running] = step.invalid
+        solved = running[step.success]
+        solved_at[solved] = np.minimum(solved_at[solved], t)
         stopped = step.invalid if step.over is None else step.invalid | step.over
-        goes_on = ~stopped & (t < solved_at[running] + hold_steps)
-        steps[running[stopped]] = t
-        running, observation = running[goes_on], step.observation.take(goes_on)
+        goes_on, observation = ~stopped & (t < solved_at[running] + hold_steps), step.observation
+        if goes_on.all():
+            continue
+        invalid[running], steps[running[stopped]] = step.invalid, t
+        running, observation = running[goes_on], observation.take(goes_on)
         if len(running) == 0:
             break
     success = (solved_at <= simulator.horizon) & ~invalid

@@ -152,8 +152,8 @@ def test_a_process_that_dies_is_the_simulators_fault() -> None:
 
 def test_its_processes_end_with_it() -> None:
     before = {*multiprocessing.active_children()}
-    simulator = plate(2)
-    simulator.reset(["east"] * 2, [0, 1])
+    simulator = plate(3)  # this process has a share, too
+    simulator.reset(["east"] * 3, [0, 1, 2])
     begun = {*multiprocessing.active_children()} - before
     assert len(begun) == 2
     del simulator

@@ -8,11 +8,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import chores
 import pytest
+from processes import gone, soon
 
 from datamodules.errors import UserError
 from plp_lightning.runs import workers
@@ -24,21 +24,6 @@ TESTS = Path(__file__).parents[1]
 def results(*jobs: str, count: int = 1) -> list[str]:
     with Workers[str, str](count, chores.work) as pool:
         return [found[1] for found in pool.results(jobs, print) if found]
-
-
-def gone(process: int) -> bool:
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except FileNotFoundError:
-        return True
-    return state == "Z"  # ended, and whoever has to take note of it has not yet
-
-
-def soon(condition: Callable[[], bool], seconds: float = 20) -> bool:
-    until = time.monotonic() + seconds
-    while not condition() and time.monotonic() < until:
-        time.sleep(0.05)
-    return condition()
 
 
 def test_all_jobs_are_done_by_few_processes() -> None:

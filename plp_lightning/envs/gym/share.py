@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -80,14 +80,17 @@ class Share:
         self.free: dict[str, list[Any]] = defaultdict(list)  # by task
         self.envs: list[tuple[str, Any]] = []  # of each episode, with its task
         self.last: list[Any] = []
-        self.over = np.zeros(0, bool)
+        self.steps: list[Callable[[np.ndarray], Any]] = []  # of each episode, past what Gymnasium puts around it
+        self.order = 1
+        self.left, self.over = np.zeros(0), np.zeros(0, bool)  # steps until the environment's limit of time
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Begin episodes; gives their first observations."""
         for task, env in self.envs:
             self.free[task].append(env)
         self.envs = [(task, self._env(task)) for task in tasks]
-        self.over = np.zeros(len(tasks), bool)
+        self.steps, left = map(list, zip(*(_bare(env) for _, env in self.envs), strict=True))
+        self.left, self.over = np.array(left), np.zeros(len(tasks), bool)
         self.last = [
             env.reset(seed=seed, options=dict(self.recipe.tasks[task].get("reset", {})) or None)[0]
             for (task, env), seed in zip(self.envs, seeds, strict=True)
@@ -97,11 +100,13 @@ class Share:
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Take a step with actions ``(n, A)`` in the episodes ``(n,)``; those that are over stay as they are."""
         invalid = ~np.isfinite(actions).all(axis=1)
-        goes = (~invalid & ~self.over[episodes]).tolist()
-        own, solved = self._actions.own(actions), np.zeros(len(episodes), bool)
-        for row, episode in enumerate(episodes.tolist()):
-            if goes[row]:
-                solved[row] = self._step(own[row], episode)
+        # To and fro, as environments that were stepped last are still in the processor's cache.
+        self.order = -self.order
+        rows = np.flatnonzero(~invalid & ~self.over[episodes])[:: self.order]
+        moved, solved = episodes[rows], np.zeros(len(episodes), bool)
+        solved[rows] = self._step(self._actions.own(actions[rows]), moved.tolist())
+        self.left[moved] -= 1
+        self.over[moved] |= self.left[moved] <= 0
         return Step(self._observed(episodes.tolist()), solved, invalid, self.over[episodes])
 
     def render(self, episodes: np.ndarray) -> list[np.ndarray]:
@@ -117,11 +122,15 @@ class Share:
         with compiled_once():
             return self.recipe.build(task)
 
-    def _step(self, action: np.ndarray, episode: int) -> bool:
-        self.last[episode], reward, terminated, truncated, info = self.envs[episode][1].step(action)
-        if terminated or truncated:
-            self.over[episode] = True
-        return self._solved(reward, terminated, info)
+    def _step(self, actions: np.ndarray, episodes: Sequence[int]) -> list[bool]:
+        """Take a step of its own in each episode; tells which are solved."""
+        solved = []
+        for action, episode in zip(actions, episodes, strict=True):
+            self.last[episode], reward, terminated, truncated, info = self.steps[episode](action)
+            if terminated or truncated:
+                self.over[episode] = True
+            solved.append(self._solved(reward, terminated, info))
+        return solved
 
     def _solved(self, reward: Any, terminated: Any, info: Mapping[str, Any]) -> bool:
         wanted = self.recipe.success
@@ -148,3 +157,18 @@ class Share:
     @cached_property
     def _actions(self) -> ActionRange:
         return ActionRange.of(self.envs[0][1].action_space)
+
+
+def _bare(env: Any) -> tuple[Callable[[np.ndarray], Any], float]:
+    """An environment's step without the limit of time and the check of order around it, and that limit, steps.
+
+    Those two take as long as all else that is done here beside the step.
+    """
+    from gymnasium.wrappers import OrderEnforcing, TimeLimit
+
+    if type(env) is OrderEnforcing:
+        return _bare(env.env)
+    if type(env) is TimeLimit and env.spec and env.spec.max_episode_steps:
+        step, limit = _bare(env.env)
+        return step, min(limit, env.spec.max_episode_steps)
+    return env.step, np.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,12 +24,6 @@ class Leaf:
 
     path: tuple[str | int, ...]  # Names, or positions in tuples, on the way to it; empty if it is the whole observation
     key: ObservationKey
-
-    def of(self, observation: Any) -> Any:
-        """Its value in an observation."""
-        for step in self.path:
-            observation = observation[step]
-        return observation
 
 
 def find_leaves(space: gymnasium.Space[Any], shown: Sequence[str] | None) -> tuple[Leaf, ...]:
@@ -91,9 +86,13 @@ class ActionRange:
 
     def own(self, actions: np.ndarray) -> np.ndarray:
         """Actions ``(n, A)``, clipped to [-1, 1], as the environment takes them, ``(n, …)``."""
-        middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
-        scaled: np.ndarray = (middle + half * np.clip(actions, -1, 1)).reshape(len(actions), *self.shape)
-        return scaled.astype(np.float32)
+        middle, half = self._middle_and_half
+        scaled: np.ndarray = middle + half * np.minimum(np.maximum(actions, -1), 1)
+        return scaled.astype(np.float32).reshape(len(actions), *self.shape)
+
+    @cached_property
+    def _middle_and_half(self) -> tuple[np.ndarray, np.ndarray]:
+        return (self.high + self.low) / 2, (self.high - self.low) / 2
 
 
 def gather_states(leaves: Sequence[Leaf], observations: Sequence[Any]) -> np.ndarray:
@@ -109,4 +108,6 @@ def gather_images(leaves: Sequence[Leaf], observations: Sequence[Any]) -> Mappin
 
 
 def _stacked(leaf: Leaf, observations: Sequence[Any]) -> np.ndarray:
-    return np.array([leaf.of(observation) for observation in observations])
+    for step in leaf.path:
+        observations = [observation[step] for observation in observations]
+    return np.array(observations)
