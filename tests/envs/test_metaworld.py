@@ -77,6 +77,20 @@ def test_steps_are_the_librarys_bit_for_bit_though_episodes_are_swapped(name: st
     assert not solved[0]
 
 
+@pytest.mark.parametrize("name", ["hammer-v3", "stick-push-v3"])  # two objects; success by touch
+def test_senses_are_the_librarys_bit_for_bit(name: str) -> None:
+    world, felt = MetaWorldWorld(name, tuple(range(39))), set()
+    world.begin(Variant.of(name, 2), np.random.default_rng(3))
+    env, library, things = world.env, type(world.env), range(world.model.ngeom)
+    for _ in range(60):
+        world.act(world.demonstrate())
+        np.testing.assert_array_equal(env._get_curr_obs_combined_no_goal(), library._get_curr_obs_combined_no_goal(env))
+        pressed = [bool(library.touching_object(env, thing)) for thing in things]
+        assert [env.touching_object(thing) for thing in things] == pressed
+        felt |= {*pressed}
+    assert felt == {False, True}
+
+
 def test_an_episode_is_the_same_alone_in_company_in_used_environments_and_in_other_processes() -> None:
     moves = actions(8, len(EPISODES))
     together = run(simulator(), EPISODES, moves)

@@ -6,8 +6,6 @@ Importing this module imports Meta-World.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +15,7 @@ from metaworld.env_dict import ALL_V3_ENVIRONMENTS
 from metaworld.policies import ENV_POLICY_MAP
 from metaworld.utils import reward_utils
 
+from plp_lightning.envs.suites.metaworld_senses import Senses
 from plp_lightning.envs.suites.share import WorldRecipe
 from plp_lightning.envs.suites.variant import Variant
 from plp_lightning.envs.suites.world import World
@@ -24,7 +23,7 @@ from plp_lightning.envs.suites.world import World
 NAMES = tuple(ALL_V3_ENVIRONMENTS)
 QUATERNIONS = {*range(7, 11), *range(14, 18), *range(25, 29), *range(32, 36)}
 """Columns of the library's observation that hold objects' orientations."""
-UNSEEN_REWARDS = ("tolerance", "hamacher_product")  # parts of rewards, which take longer than physics
+FORWARD = 1.0, 0.0, 1.0, 0.0  # orientation of the point that the hand follows, as a quaternion
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,7 @@ class MetaWorldWorld(World):
         self.env, self.columns, self.policy = env, [*columns], policies[name]()
         space = env.sawyer_observation_space
         self.low, self.high, self.places = space.low, space.high, env._random_reset_space
+        Senses(env)
         super().__init__(env.model, env.data, (env,))
 
     def begin(self, variant: Variant, stream: np.random.Generator) -> None:
@@ -73,11 +73,13 @@ class MetaWorldWorld(World):
         self._look()
 
     def act(self, action: np.ndarray) -> None:
-        env = self.env
-        env.set_xyz_action(action[:3])
-        env.data.ctrl[:] = action[3], -action[3]
-        mujoco.mj_step(env.model, env.data, nstep=env.frame_skip)
-        mujoco.mj_forward(env.model, env.data)
+        env, data = self.env, self.data
+        # The library's set_xyz_action, for actions in [-1, 1].
+        aim = data.mocap_pos[0] + action[:3] * env.action_scale
+        data.mocap_pos[0], data.mocap_quat[0] = np.minimum(np.maximum(aim, env.mocap_low), env.mocap_high), FORWARD
+        data.ctrl[:] = action[3], -action[3]
+        mujoco.mj_step(self.model, data, nstep=env.frame_skip)
+        mujoco.mj_forward(self.model, data)
         env.curr_path_length += 1
         env.last_action = action
         self._look()
@@ -88,7 +90,7 @@ class MetaWorldWorld(World):
 
     def solved(self) -> bool:
         env = self.env
-        with _without_rewards():
+        with _without_rewards:
             return bool(env.evaluate_state(env._last_stable_obs, env.last_action)[1]["success"])
 
     def scene(self) -> mujoco.MjSpec:
@@ -102,21 +104,22 @@ class MetaWorldWorld(World):
         return clipped.astype(np.float32)
 
     def _look(self) -> None:
-        self.env._last_stable_obs = np.clip(self.env._get_obs(), self.low, self.high)
+        self.env._last_stable_obs = np.minimum(np.maximum(self.env._get_obs(), self.low), self.high)
 
 
-@contextmanager
-def _without_rewards() -> Iterator[None]:
-    """Leave out what only rewards are made of: success does not depend on it."""
-    kept = [getattr(reward_utils, name) for name in UNSEEN_REWARDS]
-    try:
-        for name in UNSEEN_REWARDS:
-            setattr(reward_utils, name, _nothing)
-        yield
-    finally:
-        for name, function in zip(UNSEEN_REWARDS, kept, strict=True):
-            setattr(reward_utils, name, function)
+class _WithoutRewards:
+    """Leaves out, within a block, what only rewards are made of: success does not depend on it."""
+
+    def __enter__(self) -> None:
+        self.kept = reward_utils.tolerance, reward_utils.hamacher_product
+        reward_utils.tolerance = reward_utils.hamacher_product = _nothing
+
+    def __exit__(self, *_: object) -> None:
+        reward_utils.tolerance, reward_utils.hamacher_product = self.kept
 
 
 def _nothing(*arguments: object, **named: object) -> float:
     return 0.0
+
+
+_without_rewards = _WithoutRewards()

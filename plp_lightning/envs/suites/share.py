@@ -62,8 +62,12 @@ class WorldShare:
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         """Take a step with actions ``(n, A)`` in the episodes ``(n,)``; an invalid one stays as it was."""
-        running = [self.episodes[i] for i in episodes]
-        told = [self._step(one, action) for one, action in zip(running, actions.astype(np.float64), strict=True)]
+        running, finite = [self.episodes[i] for i in episodes], np.isfinite(actions).all(axis=1)
+        orders = np.minimum(np.maximum(actions.astype(np.float64), -1.0), 1.0)
+        told = [
+            self._step(one, order) if moves else (False, True)
+            for one, order, moves in zip(running, orders, finite.tolist(), strict=True)
+        ]
         success, invalid = np.array(told, dtype=np.bool_).reshape(-1, 2).T
         return Step(self._observed(running), success.copy(), invalid.copy())
 
@@ -91,12 +95,10 @@ class WorldShare:
         return _Running(world, pictures, world.take(), state, images)
 
     def _step(self, one: _Running, action: np.ndarray) -> tuple[bool, bool]:
-        """Take a step; tells if the episode is solved, and if it is invalid."""
-        if not np.isfinite(action).all():
-            return False, True
+        """Take a step by the action ``(A,)`` in [-1, 1]; tells if the episode is solved, and if it is invalid."""
         world = self._in_place(one)
         try:
-            world.act(np.clip(action, -1.0, 1.0))
+            world.act(action)
         except np.linalg.LinAlgError:  # a controller of the library's met a pose that physics had lost
             return False, True
         if not world.sane():

@@ -44,7 +44,7 @@ class World(ABC):
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.model, self.data, self.owners = model, data, owners
         self._places = tuple(getattr(model, name) for name in PLACES)
-        self._moving = data.qpos, data.qvel
+        self._moving, self._size = (data.qpos, data.qvel), mujoco.mj_stateSize(model, STATE)
         self._blank = self.take()
 
     @abstractmethod
@@ -82,7 +82,7 @@ class World(ABC):
 
     def take(self, before: Snapshot | None = None) -> Snapshot:
         """The episode that the environment holds, which was ``before`` a step ago."""
-        state = np.empty(mujoco.mj_stateSize(self.model, STATE))
+        state = np.empty(self._size)
         mujoco.mj_getState(self.model, self.data, state, STATE)
         attributes = tuple(dict(vars(owner)) for owner in self.owners)
         if before is None or self.rearranges:
