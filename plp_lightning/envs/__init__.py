@@ -4,6 +4,7 @@ from plp_lightning.envs.base import Domain, Expert, Simulator, Step
 from plp_lightning.envs.gym.simulator import Gymnasium
 from plp_lightning.envs.lift.simulator import Lift
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
+from plp_lightning.envs.planar import PlanarArm
 from plp_lightning.envs.suites.metaworld import MetaWorld
 from plp_lightning.envs.suites.robosuite import Robosuite
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
@@ -18,6 +19,7 @@ __all__ = [
     "LinearPoint",
     "LinearPointExpert",
     "MetaWorld",
+    "PlanarArm",
     "PointMaze",
     "Reach",
     "Robosuite",

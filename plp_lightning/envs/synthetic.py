@@ -16,7 +16,7 @@ from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import EpisodeStream, episode_generator, start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Expert, Simulator, Step
-from plp_lightning.envs.rendering.plane import Discs, draw_discs
+from plp_lightning.envs.rendering.plane import Discs, draw_plane
 from plp_lightning.envs.tasks import Tasks
 
 GOALS = 8  # goals on the unit circle; a task is one of them
@@ -78,7 +78,7 @@ class LinearPoint(Simulator):
 
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """Pictures ``(n, H, W, 3)`` of the plane: the point, and the goals."""
-        return draw_discs([*self._goals_seen(episodes), Discs(self.point[episodes], POINT, BLACK)], REACH, size)
+        return draw_plane([*self._goals_seen(episodes), Discs(self.point[episodes], POINT, BLACK)], REACH, size)
 
     def _goals_seen(self, episodes: np.ndarray) -> list[Discs]:
         """All goals, and the episode's own on top."""

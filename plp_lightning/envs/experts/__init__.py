@@ -2,6 +2,7 @@
 
 from plp_lightning.envs.experts.lift import LiftExpert
 from plp_lightning.envs.experts.metaworld import MetaWorldExpert
+from plp_lightning.envs.experts.planar import PlanarArmExpert
 from plp_lightning.envs.experts.robosuite import RobosuiteExpert
 from plp_lightning.envs.experts.tabletop import ReachExpert, WindowExpert
 from plp_lightning.envs.experts.waypoint import WalkerExpert, WaypointExpert
@@ -9,6 +10,7 @@ from plp_lightning.envs.experts.waypoint import WalkerExpert, WaypointExpert
 __all__ = [
     "LiftExpert",
     "MetaWorldExpert",
+    "PlanarArmExpert",
     "ReachExpert",
     "RobosuiteExpert",
     "WalkerExpert",
