@@ -22,6 +22,7 @@ WORLDS = [
     ("Stack", "Panda", None, True),
     ("Door", "Panda", "JOINT_POSITION", True),
     ("Lift", "Sawyer", "JOINT_TORQUE", False),
+    ("PickPlaceCan", "Panda", "OSC_POSITION", True),  # shows where the can is from the hand, and one of four objects
 ]
 
 
@@ -54,6 +55,9 @@ def test_steps_are_the_librarys_though_episodes_are_swapped(
     actions = np.random.default_rng(1).uniform(-1, 1, (12, ours.env.action_dim))
     ours.clear()
     ours.begin(Variant.of(task, 2), np.random.default_rng(5))
+    first = ours.env._get_observations()
+    np.testing.assert_array_equal(ours.observe(), np.concatenate([np.ravel(first[key]) for key in ours.keys]))
+    np.testing.assert_array_equal(ours.sensed()["object"].size, first["object-state"].size)
     begun, theirs = ours.take(), []
     for action in actions:
         seen = ours.env.step(action)[0]

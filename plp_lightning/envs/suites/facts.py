@@ -73,7 +73,8 @@ def _learn(settings: dict[str, Any]) -> Facts:
     world = RobosuiteWorld(Setup(tuple(settings.pop("robots")), make=tuple(words.items()), **settings), name)
     low, high = world.env.action_spec
     if not (np.allclose(low, -1.0) and np.allclose(high, 1.0)):
-        raise ConfigError(f"the controller takes actions from {low} to {high}; expected -1 to 1: choose another one")
+        told = f"the controller takes actions from {low.min():g} to {high.max():g}"
+        raise ConfigError(f"{told}; expected -1 to 1: choose another one, as BASIC is")
     sizes = {key: len(value) for key, value in world.sensed().items()}
     about = [key for key, found in world.env._observables.items() if found.modality == OBJECT]
     cameras = [world.model.camera(i).name for i in range(world.model.ncam)]

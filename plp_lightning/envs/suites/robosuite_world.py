@@ -54,12 +54,16 @@ def library_env(setup: Setup, name: str) -> Any:
         with quiet():
             controllers = [_controller(robot, setup.controller) for robot in robots]
             words = {"robots": robots, "controller_configs": controllers, "control_freq": setup.control_hz}
-            return robosuite.make(name, **words, **fixed, **dict(setup.make))
+            env = robosuite.make(name, **words, **fixed, **dict(setup.make))
     except ConfigError:
         raise
     except Exception as error:  # assertions, and whatever else its constructors meet
         told = f"robosuite makes no {name} with {', '.join(robots)}: {' '.join(str(error).split())[:200]}"
         raise ConfigError(f"{told}; choose other robots, another controller or other words to make it") from error
+    if getattr(env, "single_object_mode", 0) == 1:
+        told = f"robosuite's {name} is about another object in each episode, and shows other keys"
+        raise ConfigError(f"{told}; expected the same in all: name tasks of one object each, as PickPlaceCan is")
+    return env
 
 
 def _controller(robot: str, name: str | None) -> dict[str, Any]:
@@ -152,13 +156,18 @@ class RobosuiteWorld(World):
         return np.concatenate([seen[key] for key in keys]) if keys else np.zeros(0)
 
     def sensed(self) -> dict[str, np.ndarray]:
-        """All that the environment's sensors show, by name."""
-        seen: dict[str, Any] = {}
+        """All that the environment's sensors show, by name.
+
+        Some are there for others alone, and are not shown. Where an object is from the hand comes, as the library has
+        it, of the object's pose a step before; zeros at the start.
+        """
+        seen: dict[str, Any] = {**getattr(self.env, "last_sensed", {})}
         sensors = {name: found for name, found in self.env._observables.items() if found.modality != "image"}
         for name, observable in sensors.items():
             seen[name] = observable._sensor(seen)
-        about = [np.ravel(seen[name]) for name, found in sensors.items() if found.modality == OBJECT]
-        return {name: np.array(seen[name]).ravel() for name in sensors} | (
+        shown = {name: found for name, found in sensors.items() if found.is_enabled() and found.is_active()}
+        about = [np.ravel(seen[name]) for name, found in shown.items() if found.modality == OBJECT]
+        return {name: np.array(seen[name]).ravel() for name in shown} | (
             {OBJECT: np.concatenate(about)} if about else {}
         )
 
