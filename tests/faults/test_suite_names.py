@@ -66,6 +66,7 @@ def test_robosuite_is_asked_for_what_it_lacks_in_one_line_of_its_own_process(tmp
         ("Stack", "Panda", "OSC_POS", {}, "no controller 'OSC_POS'.*did you mean 'OSC_POS"),
         ("Stack", "Panda", None, {"table_hight": 2}, "makes no Stack with Panda.*table_hight"),
         ("TwoArmLift", "Panda", None, {}, "makes no TwoArmLift with Panda.*choose other robots"),
+        ("Lift", "Tiago", None, {}, "Tiago moves about.*expected a robot that stands: choose .*Panda, "),
         ("NutAssemblySingle", "Panda", None, {}, "NutAssemblySingle is about another object.*name tasks of one"),
     ],
 )

@@ -118,7 +118,7 @@ class _WithoutRewards:
         reward_utils.tolerance, reward_utils.hamacher_product = self.kept
 
 
-def _nothing(*arguments: object, **named: object) -> float:
+def _nothing(*arguments: Any, **named: Any) -> Any:
     return 0.0
 
 

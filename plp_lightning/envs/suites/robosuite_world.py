@@ -26,6 +26,7 @@ with quiet():
     import robosuite
     from robosuite.controllers import load_composite_controller_config, load_part_controller_config
     from robosuite.models.robots.robot_model import REGISTERED_ROBOTS
+    from robosuite.robots import ROBOT_CLASS_MAPPING, FixedBaseRobot
     from robosuite.utils import RandomizationError
 
 TRIES = 50  # to place objects that don't touch
@@ -49,6 +50,8 @@ def library_env(setup: Setup, name: str) -> Any:
     """
     choose("task", name, sorted(robosuite.ALL_ENVIRONMENTS), "robosuite")
     robots = [choose("robot", robot, sorted(robosuite.ALL_ROBOTS), "robosuite") for robot in setup.robots]
+    for robot in robots:
+        _check_stands(robot)
     fixed = {"initialization_noise": {"type": "gaussian", "magnitude": setup.joint_noise}, **_SCREENLESS}
     try:
         with quiet():
@@ -64,6 +67,14 @@ def library_env(setup: Setup, name: str) -> Any:
         told = f"robosuite's {name} is about another object in each episode, and shows other keys"
         raise ConfigError(f"{told}; expected the same in all: name tasks of one object each, as PickPlaceCan is")
     return env
+
+
+def _check_stands(robot: str) -> None:
+    """Refuse robots that move about: after a reset of the library's, what they did before is still felt."""
+    standing = sorted(name for name, kind in ROBOT_CLASS_MAPPING.items() if kind is FixedBaseRobot)
+    if robot not in standing:
+        told = f"robosuite's {robot} moves about, and its resets leave something behind: no episode is the same twice"
+        raise ConfigError(f"{told}; expected a robot that stands: choose {', '.join(standing)}")
 
 
 def _controller(robot: str, name: str | None) -> dict[str, Any]:
