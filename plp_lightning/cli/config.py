@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import copy
 import io
 import re
 import sys
@@ -12,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 from jsonargparse import ArgumentParser, Namespace, set_loader, set_parsing_settings
@@ -21,7 +20,7 @@ from lightning.pytorch.loggers import Logger
 
 from datamodules.amounts import DataSettings
 from datamodules.errors import ConfigError
-from datamodules.plain_yaml import dump_yaml, parse_yaml
+from datamodules.plain_yaml import dump_yaml
 from datamodules.settings import PositiveInt, Seed, Threads
 from plp_lightning import callbacks, envs, methods  # noqa: F401  (short class names work once these are imported)
 from plp_lightning.cli.building import build
@@ -30,7 +29,7 @@ from plp_lightning.cli.explanation import OURS, explain
 from plp_lightning.cli.layers import check_shape, completed, insert, overlay, with_encoder_class, without_spare_parts
 from plp_lightning.cli.loggers import listed, with_loggers
 from plp_lightning.cli.renamed import rename, rename_flag
-from plp_lightning.cli.yaml_files import Tree, read_value, read_yaml
+from plp_lightning.cli.yaml_files import Tree, read_page_or_word, read_value, read_yaml
 from plp_lightning.envs import experts  # noqa: F401
 from plp_lightning.envs.base import Domain
 from plp_lightning.evaluation import mixing  # noqa: F401
@@ -253,7 +252,7 @@ def allow_imports(packages: Sequence[str]) -> None:
         config_read_mode_fsspec_enabled=False,
         subclasses_enabled=[ImageEncoderFactory],
     )
-    set_loader("yaml", _value, (yaml.YAMLError,))
+    set_loader("yaml", read_page_or_word, (yaml.YAMLError,))
 
 
 def _check_package(name: str) -> None:
@@ -266,18 +265,6 @@ def _check_package(name: str) -> None:
         raise ConfigError(f"{told} ({type(error).__name__}: {error})") from None
     if found is None:
         raise ConfigError(told)
-
-
-def _value(text: str) -> Any:
-    """Value of a word of the command line; ``{a, b}`` and ``a:`` are words."""
-    value = copy.deepcopy(_parsed_yaml(text))
-    if isinstance(value, dict) and value and "\n" not in text and all(x is None for x in value.values()):
-        return text
-    return value
-
-
-_parsed_yaml = lru_cache(maxsize=8)(parse_yaml)
-"""The parser asks for the value of a whole page twice."""
 
 
 def _phase_names(contents: Iterable[Tree], flags: Sequence[str] = ()) -> list[str]:

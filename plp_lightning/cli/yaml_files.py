@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,18 @@ def read_value(text: str) -> Any:
         return parse_yaml(text)
     except yaml.YAMLError:
         return text
+
+
+def read_page_or_word(text: str) -> Any:
+    """Value of a page or of a word of the command line; ``{a, b}`` and ``a:`` are words."""
+    value = copy.deepcopy(_parsed(text))
+    if isinstance(value, dict) and value and "\n" not in text and all(x is None for x in value.values()):
+        return text
+    return value
+
+
+_parsed = lru_cache(maxsize=8)(parse_yaml)
+"""A parser asks for the value of a whole page twice."""
 
 
 def _decoded(path: Path, content: bytes) -> str:

@@ -90,7 +90,7 @@ def test_the_page_sets_what_it_shares_with_the_method() -> None:
     assert printed["alignment"]["class_path"].endswith("CdilAlignment")
     adaptation = printed["adaptation"]["init_args"]
     assert adaptation.keys() == {"epochs", "optimizer", "lr_scheduler"}
-    assert (adaptation["epochs"], adaptation["lr_scheduler"]) == (50, None)
+    assert (adaptation["epochs"], adaptation["lr_scheduler"]) == (25, None)
     assert adaptation["optimizer"]["class_path"].endswith("FusedAdamW")
     assert adaptation["optimizer"]["init_args"] == {"lr": 5e-4, "weight_decay": 1e-5, "first_moment": 0.9}
 
