@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from lightning.pytorch import Callback, LightningModule, Trainer
 
+from plp_lightning.callbacks.evaluation import SimulatorEvaluation
 from plp_lightning.methods.phase import Phase
 from plp_lightning.runs.progress import JobProgress
+
+SUCCESS = "eval/target_success"
 
 
 class PhaseProgress(Callback):
@@ -24,7 +24,7 @@ class PhaseProgress(Callback):
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         assert self.progress is not None
-        self.progress.advance(1, _note(trainer.callback_metrics, pl_module))
+        self.progress.advance(1, ", ".join([*_loss(trainer, pl_module), *_success(trainer)]))
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         assert self.progress is not None
@@ -36,7 +36,15 @@ class PhaseProgress(Callback):
             self.progress.__exit__(type(exception), exception, None)
 
 
-def _note(metrics: Mapping[str, Any], phase: LightningModule) -> str:
-    monitor = phase.monitor if isinstance(phase, Phase) else ""
-    shown = {monitor: "held-out loss {:.4f}", "eval/target_success": "target success {:.2f}"}
-    return ", ".join(text.format(float(metrics[key])) for key, text in shown.items() if key in metrics)
+def _loss(trainer: Trainer, phase: LightningModule) -> list[str]:
+    monitor, metrics = phase.monitor if isinstance(phase, Phase) else "", trainer.callback_metrics
+    return [f"held-out loss {float(metrics[monitor]):.4f}"] if monitor in metrics else []
+
+
+def _success(trainer: Trainer) -> list[str]:
+    """The newest success, with its epoch if that is not this one."""
+    epochs = [callback.evaluated for callback in trainer.callbacks if isinstance(callback, SimulatorEvaluation)]  # type: ignore[attr-defined]
+    if SUCCESS not in trainer.callback_metrics:
+        return []
+    when = "" if not epochs or trainer.current_epoch + 1 in epochs else f" (epoch {max(epochs)})"
+    return [f"target success {float(trainer.callback_metrics[SUCCESS]):.2f}{when}"]

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
+from command import plp, tiny_smoke
 
 from plp_lightning.runs import progress
 from plp_lightning.runs.progress import JobProgress
@@ -32,3 +34,13 @@ def test_a_job_that_fails_is_not_called_done(capsys: pytest.CaptureFixture[str])
     with pytest.raises(ValueError, match="no"), JobProgress("collecting", 3, "demonstrations"):
         raise ValueError("no")
     assert capsys.readouterr().out == ""
+
+
+def test_success_of_an_earlier_epoch_says_of_which(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes: list[str] = []
+    monkeypatch.setattr(JobProgress, "advance", lambda self, count=1, note="": notes.append(note))
+    words = ["--phase", "alignment", "--alignment.epochs", "4", "--evaluation.every_n_epochs", "{alignment: 2}"]
+    assert plp("fit", *tiny_smoke(tmp_path), *words).code == 0
+    told = [re.sub(r"[\d.]+", "N", note.partition(", ")[2]) for note in notes if note.startswith("held-out loss")]
+    assert told == ["", "target success N", "target success N (epoch N)", "target success N"]
+    assert sum(note.endswith(" (epoch 2)") for note in notes) == 1
