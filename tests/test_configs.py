@@ -263,8 +263,7 @@ def test_sizes_that_pages_state_are_of_plps_networks_alone(method: str) -> None:
     """A Transformer's decoder once had one block, since P2P-medium's action decoder has one layer."""
     files = [path for path in EXPERIMENTS if path.stem != "smoke"]  # which makes every method small
     for page in files:
-        said = (
-            yaml.safe_load(page.read_text()).get("policy", {}).get("init_args", {})
-        )  # a page may leave all to the defaults
+        # A page may leave all to the defaults.
+        said = yaml.safe_load(page.read_text()).get("policy", {}).get("init_args", {})
         tree = resolve(["--config", str(page), "--config", str(METHODS[0].with_stem(method))], ALLOWED_IMPORTS).tree
         assert not [name for name in tree["policy"]["init_args"] if isinstance(said.get(name), int)], page.stem

@@ -42,7 +42,7 @@ def keep(parser: ArgumentParser, config: Namespace, dropped: Sequence[str]) -> T
 
 @lru_cache(maxsize=8)
 def _read_again(parser: ArgumentParser, text: str) -> Namespace:
-    """What a parser reads in a text; who looks at a run several times asks again."""
+    """The settings that a parser reads in a text; looking at a run several times asks for the same."""
     read: Namespace = parser.parse_args(["--config", text])
     return read
 

@@ -64,7 +64,7 @@ class Board:
             told[episodes] = False if given is None else given
 
     def step(self, episodes: np.ndarray) -> Step:
-        """What came of the step in the episodes ``(n,)``."""
+        """The step, as it came about in the episodes ``(n,)``."""
         return Step(Observation(self.state, self.images).take(episodes), *(x[episodes] for x in self.told.values()))
 
 

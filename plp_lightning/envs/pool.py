@@ -141,7 +141,7 @@ class _Served:
         self.board: Board | None = None
 
     def answer(self, message: bytes) -> Any:
-        """What a message brought about; None for a step, whose outcome the board has."""
+        """Do as a message says and give what came of it; None for a step, whose outcome the board has."""
         if message != _BELL:
             what, words = pickle.loads(message)
             return getattr(self.share, what)(*words)

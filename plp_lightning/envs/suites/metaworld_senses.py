@@ -1,4 +1,4 @@
-"""What Meta-World's environments sense after a step, bit for bit: neither names nor contacts are gone through.
+"""Senses of Meta-World's environments after a step, bit for bit: neither names nor contacts are gone through.
 
 See ``metaworld/sawyer_xyz_env.py``, https://github.com/Farama-Foundation/Metaworld. Its own take longer than physics.
 """
