@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from datamodules.errors import ConfigError, MissingTrajectoriesError
 from datamodules.store.atomic import locked_folder, replacing, write_atomically
@@ -23,6 +22,7 @@ from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.policies import check_own, load_policy_weights
 from plp_lightning.runs.rehearsal import check_packages
 from plp_lightning.runs.specs import check_checkpoint
+from plp_lightning.runs.threads import use_threads
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Assessment:
 
         The checkpoint brings the scaling of states: no demonstrations are needed to act.
         """
-        torch.set_num_threads(self.experiment.threads)
+        use_threads(self.experiment.threads)
         if self.run is not None:
             check_own(self.run, self.checkpoint)
         check_checkpoint(self.checkpoint, self.experiment.unscaled_problem)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from lightning.pytorch import Trainer, seed_everything
 
 from datamodules.errors import CheckpointError
@@ -29,6 +28,7 @@ from plp_lightning.runs.results import write_results
 from plp_lightning.runs.resumption import Resumption, check_done, resumption, weights_before
 from plp_lightning.runs.specs import check_checkpoint
 from plp_lightning.runs.stopwatch import Stopwatch
+from plp_lightning.runs.threads import use_threads
 from plp_lightning.runs.trainer import build_trainer
 from plp_lightning.runs.versions import commit
 
@@ -42,7 +42,7 @@ def fit(
     anywhere takes the same way as an unbroken one. Phases of the run ``origin`` stand in for those before the first.
     All ranks of the ``crew`` train, this one does everything else.
     """
-    torch.set_num_threads(experiment.threads)
+    use_threads(experiment.threads)
     commit()  # as it is now: the checkout may change until the results are written
     run.update_status("running")
     for name in run.done_phases():

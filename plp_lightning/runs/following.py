@@ -8,8 +8,6 @@ import sys
 import traceback
 from typing import NoReturn
 
-import torch
-
 from datamodules.errors import UserError
 from plp_lightning.placement import Place
 from plp_lightning.runs.crew import Job, Member, from_others
@@ -17,6 +15,7 @@ from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import prepare_phase, train
 from plp_lightning.runs.resumption import resumption
+from plp_lightning.runs.threads import use_threads
 from plp_lightning.runs.trainer import joining_trainer
 from plp_lightning.stopping import SIGNALS
 
@@ -29,7 +28,7 @@ def follow(experiment: Experiment, own: Place) -> NoReturn:
     From the first phase on signals are rank 0's affair, which saves and leaves: this process ends when that one does.
     """
     os.environ["LOCAL_RANK"] = str(own.rank)  # Lightning's way to choose the device
-    torch.set_num_threads(experiment.threads)
+    use_threads(experiment.threads)
     for number in SIGNALS:
         signal.signal(number, signal.SIG_DFL if number in LEAVING else signal.SIG_IGN)
     code = _followed(experiment, own)
