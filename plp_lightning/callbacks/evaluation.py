@@ -51,7 +51,7 @@ class SimulatorEvaluation(Callback):
         self.simulators, self.eval_settings = simulators, trials
         self.episodes, self.every_n_epochs, self.seed, self.metrics = episodes, every_n_epochs, seed, metrics
         self.cost, self.spent = FIRST_GUESS, 0.0
-        self.evaluated = 0  # the newest epoch that was, counted from 1
+        self.evaluated = 0  # the newest epoch that rank 0 has success rates of, counted from 1
         self.began = self.last = time.monotonic()
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -62,7 +62,7 @@ class SimulatorEvaluation(Callback):
         if due and isinstance(pl_module, Phase):
             began = time.monotonic()
             self._evaluate(trainer, pl_module)
-            self.evaluated, self.last = trainer.current_epoch + 1, time.monotonic()
+            self.last = time.monotonic()
             self.cost = self.last - began
             self.spent += self.cost
 
@@ -78,6 +78,7 @@ class SimulatorEvaluation(Callback):
         if trainer.is_global_zero:
             with forgiving("this evaluation is left away"):
                 found = self._found(phase.policy.eval())
+                self.evaluated = trainer.current_epoch + 1
         log_at_once(trainer, phase, found)
         phase.policy.train(training)
 

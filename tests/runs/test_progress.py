@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 from command import plp, tiny_smoke
 
+from plp_lightning.callbacks import evaluation
+from plp_lightning.envs.faults import blaming
+from plp_lightning.evaluation.simulation import Outcome
 from plp_lightning.runs import progress
 from plp_lightning.runs.progress import JobProgress
 
@@ -44,3 +47,18 @@ def test_success_of_an_earlier_epoch_says_of_which(tmp_path: Path, monkeypatch: 
     told = [re.sub(r"[\d.]+", "N", note.partition(", ")[2]) for note in notes if note.startswith("held-out loss")]
     assert told == ["", "target success N", "target success N (epoch N)", "target success N"]
     assert sum(note.endswith(" (epoch 2)") for note in notes) == 1
+
+
+def test_an_evaluation_that_fails_is_not_taken_for_the_newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes, outcomes = list[str](), iter([Outcome(0.5, 2, 0, (0.0, 1.0))])
+
+    def evaluated_once(*_: object) -> dict[str, Outcome]:
+        with blaming(evaluated_once):
+            return {"target": next(outcomes)}
+
+    monkeypatch.setattr(evaluation, "evaluate_quickly", evaluated_once)
+    monkeypatch.setattr(JobProgress, "advance", lambda self, count=1, note="": notes.append(note))
+    words = ["--phase", "alignment", "--alignment.epochs", "3", "--evaluation.every_n_epochs", "{alignment: 1}"]
+    assert plp("fit", *tiny_smoke(tmp_path), *words).code == 0
+    told = [note.partition(", ")[2] for note in notes if note.startswith("held-out loss")]
+    assert told == ["target success 0.50", *["target success 0.50 (epoch 1)"] * 2]
