@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from plp_lightning.methods.contextual.denormals import without_denormals
+
 LEAST_SHARE = 2**15
 """Elements that torch gives to a thread at least (``at::internal::GRAIN_SIZE``)."""
 
@@ -15,6 +17,5 @@ def use_threads(count: int) -> None:
     which all would wait. Threads begin with the setting of the one that needs them first.
     """
     torch.set_num_threads(count)
-    if count > 1 and torch.set_flush_denormal(True):
+    with without_denormals():
         torch.ones(count * LEAST_SHARE).add_(1)
-        torch.set_flush_denormal(False)

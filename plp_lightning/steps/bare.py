@@ -11,11 +11,11 @@ from torch import Tensor
 from datamodules.types import Batch
 
 AROUND = (
-    *("on_before_batch_transfer", "on_after_batch_transfer", "on_train_batch_start", "on_train_batch_end", "backward"),
+    *("on_before_batch_transfer", "on_after_batch_transfer", "on_train_batch_start", "on_train_batch_end"),
     *("on_before_zero_grad", "optimizer_zero_grad", "on_before_backward", "on_after_backward"),
     *("on_before_optimizer_step", "optimizer_step", "configure_gradient_clipping"),
 )
-"""Lightning's hooks around a step that a bare step calls none of."""
+"""Lightning's hooks around a step that a bare step calls none of; ``backward`` is called."""
 
 
 def takes_bare_steps(trainer: Trainer) -> bool:
@@ -32,7 +32,7 @@ def bare_step(trainer: Trainer, batch: Batch, batch_idx: int) -> Tensor:
     module, optimizer = trainer.lightning_module, trainer.optimizers[0]
     loss = cast("Tensor", trainer.strategy.training_step(batch, batch_idx))
     optimizer.zero_grad()
-    loss.backward()
+    module.backward(loss)
     trainer.strategy.post_backward(loss)
     if trainer.gradient_clip_val:
         module.clip_gradients(optimizer, trainer.gradient_clip_val, trainer.gradient_clip_algorithm)

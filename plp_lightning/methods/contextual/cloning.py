@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from torch import Tensor
 
@@ -51,7 +53,11 @@ class ContextualCloning(Phase[ContextualPolicy]):
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         loss, frames = self._loss(batch)
         self.log_parts({"bc": loss}, frames)
-        return without_denormals(loss)
+        return loss
+
+    def backward(self, loss: Tensor, *args: Any, **kwargs: Any) -> None:
+        with without_denormals():
+            super().backward(loss, *args, **kwargs)
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         loss, frames = self._loss(batch)
