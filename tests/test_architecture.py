@@ -45,12 +45,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "datamodules.formats": WORDS | {"datamodules.store"},
     "datamodules": {"datamodules"},
     "plp_lightning.stopping": set(),
+    "plp_lightning.parent": set(),
     "plp_lightning.placement": {"datamodules.errors"},
     "plp_lightning.plugins": {"datamodules.errors"},
     "plp_lightning.networks": WORDS,
     "plp_lightning.losses": WORDS,
     METHODS: {"datamodules", "plp_lightning.losses", "plp_lightning.networks"},
-    ENVS: WORDS | {"datamodules.store.atomic"},
+    ENVS: WORDS | {"datamodules.store.atomic", "plp_lightning.stopping"},
     "plp_lightning.evaluation": {"datamodules", ENVS, METHODS},
     "plp_lightning.callbacks": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation", "plp_lightning.stopping"},
     "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
@@ -59,10 +60,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.steps": {"datamodules", METHODS, "plp_lightning.networks.ranks"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
     | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"}
-    | {"plp_lightning.steps", "plp_lightning.placement"},
+    | {"plp_lightning.steps", "plp_lightning.placement", "plp_lightning.parent"},
     "plp_lightning.sweeps": {
         *("datamodules.errors", "datamodules.settings", "datamodules.words", "datamodules.store.atomic"),
-        "plp_lightning.runs.directory",
+        *("plp_lightning.runs.directory", "plp_lightning.parent"),
     },
     "plp_lightning.cli.main": {
         "datamodules.errors",

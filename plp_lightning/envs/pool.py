@@ -21,6 +21,7 @@ from datamodules.types import Observation
 from plp_lightning.envs.base import Simulator, Step
 from plp_lightning.envs.board import BOARD, Board, part_of_board, shared_board
 from plp_lightning.envs.tasks import Tasks
+from plp_lightning.stopping import SIGNALS
 
 _BELL = b""  # asks for a step, and answers that it was taken
 
@@ -194,7 +195,7 @@ def _heard(line: Connection) -> Any:
 
 def _serve(line: Connection, recipe: Recipe) -> None:
     """Do what is asked for until the other end is closed, in a process of its own."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # the parent hears them
     served = _Served(recipe.share())
     with contextlib.suppress(EOFError, OSError):

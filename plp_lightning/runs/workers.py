@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import pickle
 import signal
-import sys
 import threading
 import time
 import traceback
@@ -21,6 +19,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from datamodules.errors import UserError
 from plp_lightning.envs.faults import SimulatorError
+from plp_lightning.parent import end_with_parent
 from plp_lightning.stopping import SIGNALS
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 
 SILENT_SECONDS = 60.0  # After so long without a result a process is told of, and again after as long
 TICK_SECONDS = 1.0  # So often whoever waits for results hears that there is none
-PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -167,7 +165,7 @@ def _blocked_signals() -> Iterator[None]:
 
 def _serve(connection: Connection, work: bytes) -> None:
     """Work on jobs until there are no more, in a process of its own; a list with a result, or empty at a job's end."""
-    _end_with_parent()
+    _leave_with_parent()
     try:
         results: Callable[[object], Iterator[object]] = pickle.loads(work)
         while True:
@@ -192,11 +190,10 @@ def _summary(error: BaseException) -> str:
     return f"{type(error).__name__}: {message} ({own[-1].filename}:{own[-1].lineno})"
 
 
-def _end_with_parent() -> None:
+def _leave_with_parent() -> None:
     parent = multiprocessing.parent_process()
     assert parent is not None, "called in a process that was started here"
-    if sys.platform == "linux":  # the kernel ends even a process that hangs
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     threading.Thread(target=_leave_after, args=(parent.sentinel,), daemon=True).start()
 
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import signal
 import sys
 
-PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+from plp_lightning.parent import end_with_parent
 
 
 def main() -> None:
     """Bind this process to its parent, then become the command."""
     parent, *command = sys.argv[1:]
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     if os.getppid() != int(parent):  # it has ended before
         sys.exit(1)
     os.execv(command[0], command)
