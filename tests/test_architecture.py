@@ -56,7 +56,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plp_lightning.callbacks": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation", "plp_lightning.stopping"},
     "plp_lightning.pictures": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"},
     "plp_lightning.report": {"datamodules.errors", "datamodules.words", "plp_lightning.pictures.style"}
-    | {"plp_lightning.evaluation.bootstrap", "plp_lightning.evaluation.statistics", "plp_lightning.runs.curves"},
+    | {"plp_lightning.evaluation.bootstrap", "plp_lightning.evaluation.statistics", "plp_lightning.runs.curves"}
+    | {"plp_lightning.runs.records"},
     "plp_lightning.steps": {"datamodules", METHODS, "plp_lightning.networks.ranks"},
     "plp_lightning.runs": {"datamodules", ENVS, METHODS, "plp_lightning.evaluation"}
     | {"plp_lightning.callbacks", "plp_lightning.pictures", "plp_lightning.stopping", "plp_lightning.plugins"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 
 from datamodules.errors import ConfigError
 from datamodules.words import visible
+from plp_lightning.runs.records import check_status, file_hash
 
 UNTRAINED_BEFORE = {"cdil"}
 """Methods whose older results tell the success of what was not trained yet as that before adaptation."""
@@ -124,9 +124,11 @@ def _read(file: Path) -> Any:
 def _check_hash(file: Path) -> None:
     """Refuse, by a :class:`ConfigError`, results that are not what the run beside them wrote."""
     status = file.with_name("status.json")
-    known = _read(status) if status.is_file() else {}
-    digest = known.get("results_sha256") if isinstance(known, dict) else None
-    if file.name == RESULTS and digest not in (None, hashlib.sha256(file.read_bytes()).hexdigest()):
+    if file.name != RESULTS or not status.is_file():
+        return
+    known = _read(status)
+    check_status(known, status)
+    if known.get("results_sha256") not in (None, file_hash(file)):
         raise ConfigError(f"{file}: has changed since the run wrote it; restore it or remove it and resume the run")
 
 

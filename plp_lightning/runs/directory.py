@@ -12,7 +12,7 @@ from filelock import FileLock, Timeout
 
 from datamodules.errors import CheckpointError, ConfigError
 from datamodules.store.atomic import write_atomically
-from plp_lightning.runs.records import DONE, REMEDY, RESULTS, STATUS, bytes_hash, check, file_hash, record_hash
+from plp_lightning.runs.records import DONE, REMEDY, RESULTS, bytes_hash, check, check_status, file_hash, record_hash
 from plp_lightning.stopping import PreemptedError
 
 
@@ -115,7 +115,7 @@ class RunDirectory:
     def status(self) -> dict[str, Any]:
         """State of the run and of each of its phases; a :class:`ConfigError` says if the file is damaged."""
         status = {"state": "new", "phases": {}, **self.read_json("status.json")}
-        check(status, STATUS, self.path / "status.json")
+        check_status(status, self.path / "status.json")
         return status
 
     def done_phases(self) -> list[str]:

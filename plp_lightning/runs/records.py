@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -80,6 +80,8 @@ class Results(TypedDict):
 
 STATUS, DONE, RESULTS = TypeAdapter(Status), TypeAdapter(DoneRecord), TypeAdapter(Results)
 REMEDY = "restore it or begin a new run"
+BEGUN = {"config_sha256", "plan_sha256"}
+"""Hashes that a run's status holds from its beginning on, unless a version began it that wrote none down."""
 
 
 def check(record: Mapping[str, Any], schema: TypeAdapter[Any], file: Path, place: str = "") -> None:
@@ -91,11 +93,29 @@ def check(record: Mapping[str, Any], schema: TypeAdapter[Any], file: Path, place
         schema.validate_python(record, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key, found = ".".join(map(str, (*([place] if place else []), *first["loc"]))), repr(first["input"])[:60]
+        key = ".".join(map(str, (*([place] if place else []), *first["loc"]))) or "all of it"
+        found = repr(first["input"])[:60]
         said = "is missing" if first["type"] == "missing" else f"is {found}"
         raise ConfigError(
             f"{file}: {key} {said}; expected what plp fit writes ({first['msg'].lower()}): {REMEDY}"
         ) from None
+
+
+def check_status(status: Mapping[str, Any], file: Path) -> None:
+    """Refuse, by a :class:`ConfigError`, a status that is not as its schema says, or has lost the key of a hash."""
+    check(status, STATUS, file)
+    if BEGUN & status.keys() and (lost := [*_lost_hashes(status)]):
+        raise ConfigError(f"{file}: {lost[0]} is missing; expected the hash that plp fit writes: {REMEDY}")
+
+
+def _lost_hashes(status: Mapping[str, Any]) -> Iterator[str]:
+    """Keys of the hashes that belong to what a status tells and are not there, dotted."""
+    phases, done = status.get("phases", {}), {"results_sha256"} if status.get("state") == "done" else set()
+    yield from sorted({*BEGUN, *done, *({"data_sha256"} if phases else ())} - status.keys())
+    for name, record in phases.items():
+        own = {"checkpoint_sha256", "sha256"} if record.get("state") == "done" else set()
+        own |= {"from_sha256"} if "from" in record else set()
+        yield from (f"phases.{name}.{key}" for key in sorted(own - record.keys()))
 
 
 def record_hash(record: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import shutil
 from collections.abc import Mapping
@@ -11,7 +12,9 @@ from typing import Any
 import pytest
 from command import checkpoint, complaint, finished_smoke, plp, results, same, tiny_smoke
 
+from datamodules.errors import ConfigError
 from plp_lightning.runs.directory import RunDirectory
+from plp_lightning.runs.policies import load_policy
 
 DONE = {"state": "done", "seconds": 1, "trials": {}, "alignment": {}}
 
@@ -105,6 +108,29 @@ def test_a_number_that_was_edited_in_the_record_of_a_phase_is_noticed(done: RunD
     record["trials"]["target"]["success"] = 1.0
     _change(done, {"state": "running"}, {"adaptation": record})
     assert "the record of phase adaptation has changed" in complaint("fit", "--resume", done.path)
+
+
+LOST = [
+    *("config_sha256", "plan_sha256", "data_sha256", "results_sha256"),
+    *("phases.alignment.sha256", "phases.alignment.checkpoint_sha256", "phases.adaptation.from_sha256"),
+]
+
+
+@pytest.mark.parametrize("key", LOST)
+@pytest.mark.parametrize("left", ["", "_"], ids=["gone", "of another name"])
+def test_a_status_that_has_lost_a_hash_is_of_no_earlier_version(key: str, left: str, done: RunDirectory) -> None:
+    file = done.path / "status.json"
+    status = json.loads(file.read_text())
+    *path, name = key.split(".")
+    record = functools.reduce(dict.__getitem__, path, status)
+    digest = record.pop(name)
+    record |= {name.replace("_", "-") + left: digest} if left else {}
+    file.write_text(json.dumps(status))
+    told = f"status.json: {key} is missing; expected the hash that plp fit writes"
+    for words in (["fit", "--resume"], ["test"], ["report"]):
+        assert told in complaint(*words, done.path)
+    with pytest.raises(ConfigError, match=told):
+        load_policy(done.path)
 
 
 def test_status_of_an_earlier_version_goes_on(interrupted: RunDirectory, finished: RunDirectory) -> None:

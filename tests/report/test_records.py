@@ -133,6 +133,21 @@ def test_results_that_a_run_did_not_write_are_refused(tmp_path) -> None:
         read_records([tmp_path])
 
 
+@pytest.mark.parametrize(
+    ("status", "told"),
+    [
+        ([], r"all of it is \[\]; expected what plp fit writes"),
+        ({"state": 3}, "state is 3; expected what plp fit writes"),
+        ({"state": "done", "config_sha256": "", "plan_sha256": ""}, "results_sha256 is missing; expected the hash"),
+    ],
+)
+def test_results_beside_a_damaged_status_are_refused(tmp_path, status, told) -> None:
+    (tmp_path / "results.json").write_text(json.dumps(RESULT))
+    (tmp_path / "status.json").write_text(json.dumps(status))
+    with pytest.raises(ConfigError, match=f"status.json: {told}"):
+        read_records([tmp_path])
+
+
 def test_runs_that_simulated_nothing_are_read(tmp_path) -> None:
     unsimulated = {key: value for key, value in RESULT.items() if key not in ("target", "proxy")}
     (tmp_path / "results.json").write_text(json.dumps(unsimulated | {"held_out": {"flat": 0.25, "tall": 0.5}}))
