@@ -25,6 +25,13 @@ class BehaviourMetric(Configured, Observer, ABC):
     def value(self, outcome: Episodes) -> float | None:
         """The number for the episodes ``(E,)`` that just ended; None if there is nothing to tell."""
 
+    def own_simulator(self, simulator: Simulator) -> Simulator | None:
+        """Gives a simulator to run the same episodes in once more, whose success is the number; None if there is none.
+
+        They are run at the end of a phase alone, in the place of ``simulator``.
+        """
+        return None
+
 
 class StepsToSuccess(BehaviourMetric):
     """Mean number of control steps that successful episodes took."""
@@ -49,10 +56,9 @@ class SuccessWithin(BehaviourMetric):
         self.radius, self.name = radius, f"success_within_{radius:g}_m"
 
     def value(self, outcome: Episodes) -> None:
-        return None  # episodes of its own tell
+        return None  # its own simulator tells
 
-    def simulator(self, simulator: Simulator) -> Simulator | None:
-        """Simulator of its episodes in the place of ``simulator``; None if success there asks for as much already."""
+    def own_simulator(self, simulator: Simulator) -> Simulator | None:
         if isinstance(simulator, Reaching) and simulator.success_radius > self.radius:
             return simulator.within(self.radius)
         return None

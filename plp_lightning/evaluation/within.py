@@ -1,4 +1,4 @@
-"""Success of the same episodes by a stricter measure, beside their own."""
+"""Success of the same episodes in a metric's own simulator, beside their success."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from plp_lightning.envs.base import Simulator
-from plp_lightning.evaluation.behaviour import SuccessWithin
+from plp_lightning.evaluation.behaviour import BehaviourMetric
 from plp_lightning.evaluation.simulation import Acting, EvalSetting, Outcome, evaluate_all
 
 
 def evaluate_within(
-    metrics: Sequence[SuccessWithin],
+    metrics: Sequence[BehaviourMetric],
     outcomes: Mapping[str, Outcome],
     policy: Acting,
     simulators: Mapping[str, Simulator],
@@ -19,10 +19,10 @@ def evaluate_within(
     episodes: int,
     seed: int,
 ) -> dict[str, Outcome]:
-    """Outcomes by trial, with what the same episodes come to nearer to their goals beside; the others as they are."""
+    """Outcomes by trial, with what the same episodes come to in the simulators that metrics have of their own."""
     found = dict(outcomes)
     for metric in metrics:
-        closer = {name: world for name, known in simulators.items() if (world := metric.simulator(known)) is not None}
+        closer = {name: world for name, known in simulators.items() if (world := metric.own_simulator(known)) is not None}
         own = {name: trial for name, trial in trials.items() if trial.domain in closer}
         for name, outcome in evaluate_all(policy, closer, own, episodes, seed).items():
             told = {**found[name].behaviour, metric.name: outcome.success}

@@ -20,7 +20,6 @@ from datamodules.types import DomainSpec
 from plp_lightning.envs.base import Domain, Simulator
 from plp_lightning.envs.faults import forgiving
 from plp_lightning.envs.rollout import Observer
-from plp_lightning.evaluation.behaviour import SuccessWithin
 from plp_lightning.evaluation.scores import JointScore
 from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
 from plp_lightning.evaluation.within import evaluate_within
@@ -135,8 +134,7 @@ class Experiment:
         seed = self.seed if seed is None else seed
         settings, metrics = self.eval_settings_of(policy), self.evaluation.metrics
         found = evaluate_all(policy, self.simulators, settings, episodes, seed, metrics, observers)
-        closer = [metric for metric in metrics if isinstance(metric, SuccessWithin)]
-        return evaluate_within(closer, found, policy, self.simulators, settings, episodes, seed)
+        return evaluate_within(metrics, found, policy, self.simulators, settings, episodes, seed)
 
     def alignment(self, policy: Policy) -> dict[str, float]:
         """Alignment scores of a policy at the end of a phase; empty without a score or anything to score.

@@ -13,7 +13,8 @@ from datamodules.errors import UserError
 from datamodules.types import Actor, Observation
 from plp_lightning.cli.config import parse
 from plp_lightning.envs import PointMaze
-from plp_lightning.evaluation.behaviour import SuccessWithin
+from plp_lightning.envs.base import Simulator
+from plp_lightning.evaluation.behaviour import BehaviourMetric, StepsToSuccess, SuccessWithin
 from plp_lightning.evaluation.simulation import EvalSetting, Outcome, evaluate_all
 from plp_lightning.evaluation.within import evaluate_within
 
@@ -34,7 +35,7 @@ class Beside:
         return act
 
 
-def outcomes(distance: float, *metrics: SuccessWithin) -> tuple[Outcome, Outcome]:
+def outcomes(distance: float, *metrics: BehaviourMetric) -> tuple[Outcome, Outcome]:
     """The target's outcome without and with further distances."""
     maze = PointMaze("umaze")
     policy, simulators = Beside(maze, distance), {"point": maze}
@@ -58,6 +59,23 @@ def test_where_success_asks_for_as_much_nothing_is_run_again() -> None:
 def test_several_distances_stand_beside_one_another() -> None:
     _, found = outcomes(0.3, SuccessWithin(0.4), SuccessWithin(0.1))
     assert found.behaviour == {"success_within_0.4_m": 1.0, "success_within_0.1_m": 0.0}
+
+
+class SuccessInTime(StepsToSuccess):
+    """Share of episodes that succeed in so few steps: a metric that knows nothing of distances."""
+
+    name = "success_in_time"
+
+    def __init__(self, steps: int) -> None:
+        self.steps = steps
+
+    def own_simulator(self, simulator: Simulator) -> PointMaze:
+        return PointMaze("umaze", horizon=self.steps)
+
+
+def test_any_metric_may_have_a_simulator_of_its_own() -> None:
+    bare, found = outcomes(0.0, SuccessInTime(2), StepsToSuccess())
+    assert (bare.success, found.behaviour) == (1.0, {"success_in_time": 0.0})
 
 
 @pytest.mark.parametrize("page", sorted(path.stem for path in (ROOT / "configs").glob("[ap]2[as]_*.yaml")))
