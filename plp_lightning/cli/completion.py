@@ -1,11 +1,13 @@
 """``plp completion``: a script by which bash, zsh or fish completes verbs, options, pages and run directories.
 
-It is made once and holds all words, so that no Python is started when a key is pressed.
+It is made once and holds all words, so that no Python is started when a key is pressed. What a verb understands is read
+from its help, where run directories are called RUN_DIR and pages PAGE.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,27 +17,14 @@ from typing import Any
 from datamodules.formats.registry import format_names
 from datamodules.plain_yaml import parse_yaml
 from plp_lightning.cli.config import BASE, PAGES, parse
-from plp_lightning.cli.listing import KINDS
 from plp_lightning.cli.options import OptionParser
-from plp_lightning.cli.schema import KINDS as SCHEMAS
 from plp_lightning.cli.verbs import VERBS, find_verb
 
 SHELLS = ("bash", "zsh", "fish")
-WORDS: Mapping[str, Sequence[str]] = {
-    "list list": KINDS,
-    "schema schema": SCHEMAS,
-    "completion completion": SHELLS,
-    "data data": ("inspect", "validate", "import", "export"),
-    "data import": format_names(),
-    "data export": format_names(),
-}
-"""Words of a verb by verb and the word before."""
-OF_RUNS = ("validate", "test", "predict", "rollout", "export", "report")
-"""Verbs that run directories follow."""
-CONFIGURED = ("fit", "collect", "sweep")
-"""Verbs that take every key of a page as an option."""
 RUNS = "runs/*/*/*/seed_*"
 OPTION = re.compile(r"^ +(?:-\w, )?(--[\w.]+)(?: \{([^}]*)\})?", re.MULTILINE)
+CHOICE = re.compile(r"^  \{([^}]*)\}", re.MULTILINE)
+RUN_DIR = re.compile(r"^  RUN_DIR\b", re.MULTILINE)
 BASH = """\
 # Made by plp completion; to be made again after an update.
 _plp() {
@@ -76,14 +65,30 @@ def run_completion(arguments: Sequence[str]) -> None:
     print("".join(_fish(options)) if shell == "fish" else ZSH * (shell == "zsh") + _bash(options), end="")
 
 
+def of_runs(verb: str) -> bool:
+    """Tell whether run directories follow a verb."""
+    return RUN_DIR.search(_help(verb)) is not None
+
+
+def configured(verb: str) -> bool:
+    """Tell whether a verb takes every key of a page as an option."""
+    return "--config PAGE" in _help(verb)
+
+
+def _words() -> dict[str, Sequence[str]]:
+    """Words that may follow, by verb and the word before."""
+    first = {f"{verb} {verb}": found[1].split(",") for verb in VERBS if (found := CHOICE.search(_help(verb)))}
+    return {**first, "data import": format_names(), "data export": format_names()}
+
+
 def _options(verb: str) -> Iterator[tuple[str, Sequence[str]]]:
     """Options of a verb, as its help shows them, each with the words that its value is one of."""
     asked = [["data", *words] for words in _data_words()] if verb == "data" else [[verb]]
-    asked += [["fit"]] if verb in CONFIGURED else []
+    asked += [["fit"]] if configured(verb) else []
     for words in asked:
-        for name, choices in OPTION.findall(_help(words)):
+        for name, choices in OPTION.findall(_help(*words)):
             yield name, choices.split(",") if choices else ()
-    for key in _keys(parse_yaml(parse(["--config", "smoke"]).config)) if verb in CONFIGURED else ():
+    for key in _keys(parse_yaml(parse(["--config", "smoke"]).config)) if configured(verb) else ():
         yield f"--{key}", ()
 
 
@@ -92,10 +97,11 @@ def _data_words() -> list[list[str]]:
     return [["inspect"], ["validate"], *moved]
 
 
-def _help(words: Sequence[str]) -> str:
+@functools.cache
+def _help(*words: str) -> str:
     told = io.StringIO()
     with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):
-        find_verb(words[0])([*words[1:], "--help", *(["all"] if words == ["fit"] else [])])
+        find_verb(words[0])([*words[1:], "--help", *(["all"] if words == ("fit",) else [])])
     return told.getvalue()
 
 
@@ -122,10 +128,10 @@ def _bash(options: Mapping[str, Mapping[str, Sequence[str]]]) -> str:
     parts = {
         "options": [f'    {verb}) options="{" ".join(known)}" ;;' for verb, known in options.items()],
         "choices": [f'    "{verb} {name}") words="{" ".join(own)}" files= ;;' for (verb, name), own in choices.items()],
-        "words": [f'    "{place}") words="{" ".join(own)}" files= ;;' for place, own in WORDS.items()],
+        "words": [f'    "{place}") words="{" ".join(own)}" files= ;;' for place, own in _words().items()],
         "sweeps": [" ".join(_pages("sweeps"))],
         "pages": [" ".join(_pages("", "methods", "recipes", "studies"))],
-        "of_runs": [" | ".join(f'"{verb} "*' for verb in OF_RUNS)],
+        "of_runs": [" | ".join(f'"{verb} "*' for verb in VERBS if of_runs(verb))],
         "verbs": [" ".join(VERBS)],
         "runs": [RUNS],
     }
@@ -138,12 +144,12 @@ def _fish(options: Mapping[str, Mapping[str, Sequence[str]]]) -> Iterator[str]:
     for verb, (_, told) in VERBS.items():
         yield f'complete -c plp -n __fish_use_subcommand -f -a {verb} -d "{told}"\n'
         after = f'complete -c plp -n "__fish_seen_subcommand_from {verb}"'
-        yield f"{after} -a '{FISH_RUNS}'\n" if verb in OF_RUNS else ""
+        yield f"{after} -a '{FISH_RUNS}'\n" if of_runs(verb) else ""
         for name, choices in options[verb].items():
             value = _values(verb, name) or " ".join(choices)
             yield f"{after} -l {name[2:]}" + (f" {'-x' if choices else '-r'} -a '{value}'" if value else "") + "\n"
 
-    for place, words in WORDS.items():
+    for place, words in _words().items():
         verb, before = place.split()
         after = f"__fish_seen_subcommand_from {verb}; and test (commandline -opc)[-1] = {before}"
         yield f"complete -c plp -n '{after}' -f -a '{' '.join(words)}'\n"

@@ -206,7 +206,7 @@ def _parser_of(*phases: str) -> ArgumentParser:
 def build_parser(phases: Sequence[str]) -> ArgumentParser:
     """Parser for an experiment whose method has these phases; each phase is a key of its own."""
     parser = ArgumentParser(prog="plp fit", exit_on_error=False)
-    parser.add_argument("--config", action="config", help="YAML file; give several, later ones win")
+    parser.add_argument("--config", action="config", metavar="PAGE", help="YAML file; give several, later ones win")
     parser.add_argument("--allow_imports", type=str | None, help="package of yours whose classes configs may name")
     parser.add_argument("--experiment", type=str | None, help="name; the first config's file name if not given")
     parser.add_argument("--method", type=str, help="name of the method, for the run directory")

@@ -20,7 +20,7 @@ from plp_lightning.runs.versions import commit, versions
 def run_export(arguments: Sequence[str]) -> None:
     """``plp export RUN_DIR --to onnx|torch|safetensors``; needs neither demonstrations nor a simulator."""
     parser = OptionParser("plp export", description="A trained policy in a file of its own, with a card beside it.")
-    parser.add_argument("run", type=Path, help="run directory")
+    parser.add_argument("run", type=Path, metavar="RUN_DIR", help="run whose policy to export")
     parser.add_argument("--to", choices=[*WRITERS], default="onnx", help="kind of the file; onnx if not given")
     parser.add_argument("--domain", help="robot that it acts in; the run's target domain if not given")
     parser.add_argument("--task", help="task that it does; the run's target task if not given")

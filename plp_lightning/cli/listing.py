@@ -35,7 +35,7 @@ KINDS = (*FOLDERS, *CLASSES, "tasks")
 def run_list(arguments: Sequence[str]) -> None:
     """``plp list KIND``: pages, classes, or the tasks of an experiment."""
     parser = OptionParser("plp list", description="What there is to choose from, a line each.")
-    parser.add_argument("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("kind", choices=KINDS, help="what to list")
     parser.add_argument("experiment", nargs="?", default="smoke", help="whose tasks; a page's file or short name")
     parser.add_argument("--allow_imports", action="append", default=[], help="package of yours that the page uses")
     options = parser.parse_args(list(arguments))

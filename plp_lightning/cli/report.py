@@ -25,7 +25,8 @@ from plp_lightning.report.summaries import groups_of
 def run_report(arguments: Sequence[str]) -> None:
     """``plp report RUNS… [--out FOLDER] [--reference FILE]``: tables and figures of runs, beside known values."""
     parser = OptionParser("plp report", description="Tables and figures of many runs, beside the paper's values.")
-    parser.add_argument("runs", type=Path, nargs="+", help="run directories, or folders above them, such as runs")
+    told = "run directories, or folders above them, such as runs"
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN_DIR", help=told)
     parser.add_argument(
         "--out", type=Path, help="folder that gets report.html, .md, .tex, .csv, tables.csv and figures/"
     )

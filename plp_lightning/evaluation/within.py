@@ -22,9 +22,10 @@ def evaluate_within(
     """Outcomes by trial, with what the same episodes come to in the simulators that metrics have of their own."""
     found = dict(outcomes)
     for metric in metrics:
-        closer = {name: world for name, known in simulators.items() if (world := metric.own_simulator(known)) is not None}
-        own = {name: trial for name, trial in trials.items() if trial.domain in closer}
-        for name, outcome in evaluate_all(policy, closer, own, episodes, seed).items():
+        made = {domain: metric.own_simulator(simulator) for domain, simulator in simulators.items()}
+        worlds = {domain: simulator for domain, simulator in made.items() if simulator is not None}
+        own = {name: trial for name, trial in trials.items() if trial.domain in worlds}
+        for name, outcome in evaluate_all(policy, worlds, own, episodes, seed).items():
             told = {**found[name].behaviour, metric.name: outcome.success}
             found[name] = replace(found[name], behaviour=told)
     return found

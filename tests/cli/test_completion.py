@@ -5,12 +5,14 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from command import complaint, plp
 
-from plp_lightning.cli.completion import SHELLS
+from plp_lightning.cli.completion import FISH_RUNS, SHELLS, configured, of_runs
+from plp_lightning.cli.options import OptionParser
 from plp_lightning.cli.verbs import VERBS
 
 
@@ -68,6 +70,42 @@ def test_all_verbs_are_offered_and_each_has_its_options(scripts: Path) -> None:
     assert {*in_bash(scripts, "plp ")} == {*VERBS}
     for verb in {*VERBS} - {"completion", "doctor"}:
         assert len(in_bash(scripts, f"plp {verb} --")) > 1, verb
+
+
+def run_look(arguments: Sequence[str]) -> None:
+    """A verb that nobody has told of elsewhere."""
+    parser = OptionParser("plp look")
+    parser.add_argument("how", choices=["twice", "once"])
+    parser.add_argument("run", metavar="RUN_DIR")
+    parser.add_argument("--config", metavar="PAGE")
+    parser.parse_args(list(arguments))
+
+
+def test_a_new_verb_is_completed_by_what_it_says_itself(scripts: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(VERBS, "look", (f"{__name__}:run_look", "look at runs"))
+    (scripts / "plp.bash").rename(scripts / "kept.bash")
+    (scripts / "plp.bash").write_text(plp("completion", "bash").out)
+    found = [in_bash(scripts, line) for line in ("plp look ", "plp look once ru", "plp look --data.target_t")]
+    (scripts / "kept.bash").replace(scripts / "plp.bash")
+    assert {"twice", "once"} <= {*found[0]}
+    assert "runs/arms/plp/left/seed_0" in found[1]
+    assert {"--data.target_task", "--data.target_trajectories"} <= {*found[2]}
+    assert f"__fish_seen_subcommand_from look\" -a '{FISH_RUNS}'" in plp("completion", "fish").out
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_runs_are_called_by_one_name_in_all_help(verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsers = list[OptionParser]()
+    monkeypatch.setattr(OptionParser, "print_help", lambda self, file=None: parsers.append(self))
+    plp(verb, "--help")
+    for action in [action for parser in parsers for action in parser._actions]:
+        if not action.option_strings and action.dest.startswith("run"):
+            assert action.metavar == "RUN_DIR"
+
+
+def test_runs_and_pages_are_known_where_they_are_asked_for() -> None:
+    assert {*filter(of_runs, VERBS)} == {"validate", "test", "predict", "rollout", "export", "report"}
+    assert {*filter(configured, VERBS)} == {"fit", "collect", "sweep"}
 
 
 def test_a_press_of_the_key_starts_no_program(scripts: Path) -> None:
