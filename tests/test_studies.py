@@ -16,6 +16,7 @@ from plp_lightning.cli.config import parse
 from plp_lightning.cli.planning import find_word, plan, read_page
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.synthetic import LinearPoint
+from plp_lightning.runs.settings import differing_settings
 from plp_lightning.sweeps.page import SweepPage, variants
 
 
@@ -134,3 +135,14 @@ def test_the_paper_s_settings_of_v2v_are_an_overlay(page: str) -> None:
     assert settings() == (20, 1, ["CosineDecay", "CosineDecay"], "bf16-mixed")
     paper = str(ROOT / "configs" / "studies" / "v2v_paper.yaml")
     assert settings("--config", paper) == (80, 0, [None, None], "32-true")
+
+
+def test_r2r_at_the_paper_s_settings_is_r2r_but_for_them() -> None:
+    """A page builds on no other, so each states all."""
+    ours, paper = (
+        differing_settings(yaml.safe_load(parse(["--config", str(ROOT / "configs" / f"{name}.yaml")]).config))
+        for name in ("r2r", "r2r_paper")
+    )
+    assert {key for key in ours | paper if ours.get(key) != paper.get(key)} == {
+        *("alignment.epochs", "alignment.optimizer.lr", "adaptation.epochs", "collection.random_start_steps")
+    }
