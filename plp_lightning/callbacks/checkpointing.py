@@ -182,11 +182,12 @@ class Owner(Callback):
 
 
 def check_owner(checkpoint: Mapping[str, Any], path: Path, run: str | None, phase: str) -> None:
-    """Refuse, by a :class:`CheckpointError`, a checkpoint of another run or phase, as far as both are known."""
+    """Refuse, by a :class:`CheckpointError`, a checkpoint that says that it is of another run or phase."""
     owner: Mapping[str, str | None] = checkpoint.get("owner") or {}
     for what, found, own in (("run", owner.get("run"), run), ("phase", owner.get("phase"), phase)):
-        if found is not None and own is not None and found != own:
-            raise CheckpointError(f"{path}: is of another {what} ({found[:12]}, expected {own[:12]}); restore the file")
+        if found not in (None, own):
+            expected = own[:12] if own else "one that is known by no hash"
+            raise CheckpointError(f"{path}: is of another {what} ({found[:12]}, expected {expected}); restore the file")
 
 
 class BestCheckpoint(ModelCheckpoint):

@@ -56,8 +56,9 @@ def test_no_batch_holds_the_target_in_the_target_domain(trajectory_file: Path) -
     for batch in batches(data):
         parts = [part["tall"] for part in (batch.steps, batch.pairs) if "tall" in part]
         assert not secret & {tuple(row) for part in parts for row in part.observation.state.tolist()}
-    held_out = [*data.val_dataloader()]
-    assert all(TARGET_ID not in b.steps["tall"].task for b in held_out if "tall" in b.steps)
+    held_out = [batch.steps["tall"] for batch in data.val_dataloader() if "tall" in batch.steps]
+    assert held_out
+    assert all(TARGET_ID not in steps.task for steps in held_out)
 
 
 def test_alignment_batches_and_statistics_hold_no_target_at_all(trajectory_file: Path) -> None:

@@ -63,7 +63,7 @@ def test_a_checkpoint_of_another_phase_is_refused(interrupted: RunDirectory) -> 
 def test_weights_that_were_exchanged_later_are_refused(interrupted: RunDirectory) -> None:
     """They are the run's own, of that phase and in good order, but not what alignment left."""
     file = interrupted.checkpoint("alignment")
-    AtomicCheckpointIO().save_checkpoint(read_checkpoint(file) | {"global_step": 3}, file)
+    AtomicCheckpointIO().save_checkpoint(read_checkpoint(file) | {"global_step": 3, "owner": None}, file)
     assert "is not what phase alignment left when it was done" in complaint("fit", "--resume", interrupted.path)
     status = interrupted.status()
     for later in ("sha256", "checkpoint_sha256"):  # which records of earlier versions lack

@@ -13,8 +13,10 @@ import pytest
 from command import checkpoint, complaint, finished_smoke, plp, results, same, tiny_smoke
 
 from datamodules.errors import ConfigError
+from plp_lightning.callbacks.checkpointing import AtomicCheckpointIO, read_checkpoint
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.policies import load_policy
+from plp_lightning.runs.records import BEGUN
 
 DONE = {"state": "done", "seconds": 1, "trials": {}, "alignment": {}}
 
@@ -133,15 +135,23 @@ def test_a_status_that_has_lost_a_hash_is_of_no_earlier_version(key: str, left: 
         load_policy(done.path)
 
 
+def test_a_run_whose_checkpoints_know_it_is_of_no_earlier_version(interrupted: RunDirectory) -> None:
+    file = interrupted.path / "status.json"
+    status = json.loads(file.read_text())
+    file.write_text(json.dumps({key: value for key, value in status.items() if key not in BEGUN}))
+    for verb in (["fit", "--resume"], ["test"], ["export"]):
+        assert "is of another run (" in complaint(*verb, interrupted.path)
+
+
 def test_status_of_an_earlier_version_goes_on(interrupted: RunDirectory, finished: RunDirectory) -> None:
-    """It holds no hashes but that of the demonstrations."""
+    """It holds no hashes but that of the demonstrations, and its checkpoints do not say whose they are."""
     old = json.loads((interrupted.path / "status.json").read_text())
     phases = {n: {k: v for k, v in record.items() if "sha256" not in k} for n, record in old["phases"].items()}
     new = ("config_sha256", "plan_sha256", "results_sha256")
     status = {k: v for k, v in old.items() if k not in new} | {"phases": phases}
     (interrupted.path / "status.json").write_text(json.dumps(status))
-    for owned in interrupted.path.rglob("last.ckpt"):
-        assert owned.is_file()
+    file = interrupted.checkpoint("alignment")
+    AtomicCheckpointIO().save_checkpoint(read_checkpoint(file) | {"owner": None}, file)
     assert plp("fit", "--resume", interrupted.path).code == 0
     assert results(interrupted) == results(finished)
 
