@@ -141,8 +141,8 @@ def _bash(options: Mapping[str, Mapping[str, Sequence[str]]]) -> str:
 def _fish(options: Mapping[str, Mapping[str, Sequence[str]]]) -> Iterator[str]:
     """Lines, of which each one completes something in some place."""
     yield "# Made by plp completion; to be made again after an update.\n"
-    for verb, (_, told) in VERBS.items():
-        yield f'complete -c plp -n __fish_use_subcommand -f -a {verb} -d "{told}"\n'
+    for verb, known in VERBS.items():
+        yield f'complete -c plp -n __fish_use_subcommand -f -a {verb} -d "{known.told}"\n'
         after = f'complete -c plp -n "__fish_seen_subcommand_from {verb}"'
         yield f"{after} -a '{FISH_RUNS}'\n" if of_runs(verb) else ""
         for name, choices in options[verb].items():

@@ -16,9 +16,6 @@ from plp_lightning.cli.words import read_words
 from plp_lightning.placement import is_first, stand_alone
 from plp_lightning.stopping import stoppable
 
-KEEPS = ("fit", "sweep", "collect", "test", "predict", "rollout")
-"""Verbs whose results are in files."""
-
 USAGE = """usage: plp VERB [options]
 
 Cross-domain policy transfer by representation alignment.
@@ -52,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _answer(words: Sequence[str]) -> None:
     if not words or words[0] in ("-h", "--help"):
-        print(USAGE.format(verbs="\n".join(f"  {name:10} {text}" for name, (_, text) in VERBS.items())))
+        print(USAGE.format(verbs="\n".join(f"  {name:10} {verb.told}" for name, verb in VERBS.items())))
     elif words[0] == "--version":
         print(f"plp {_installed_version()}")
     else:
@@ -63,7 +60,8 @@ def _tell_loss(words: Sequence[str]) -> None:
     """Say that the output is lost; that is a failure where nothing else is left of the work."""
     reason = loss()
     if reason is not None:
-        kept = bool(words) and words[0] in KEEPS
+        kept = any(VERBS[word].keeps for word in words[:1] if word in VERBS)
+        kept = kept or any(word.partition("=")[0] == "--out" for word in words)
         _leave(f"standard output: {reason}; expected a place that can be written: name another", 0 if kept else 2)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from command import complaint, plp
 
 from plp_lightning.cli.completion import FISH_RUNS, SHELLS, configured, of_runs
 from plp_lightning.cli.options import OptionParser
-from plp_lightning.cli.verbs import VERBS
+from plp_lightning.cli.verbs import VERBS, Verb
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +83,8 @@ def run_look(arguments: Sequence[str]) -> None:
 
 
 def test_a_new_verb_is_completed_by_what_it_says_itself(scripts: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(VERBS, "look", (f"{__name__}:run_look", "look at runs"))
+    monkeypatch.setitem(sys.modules, "plp_lightning.cli.looking", sys.modules[__name__])
+    monkeypatch.setitem(VERBS, "look", Verb("looking", "look at runs"))
     (scripts / "plp.bash").rename(scripts / "kept.bash")
     (scripts / "plp.bash").write_text(plp("completion", "bash").out)
     found = [in_bash(scripts, line) for line in ("plp look ", "plp look once ru", "plp look --data.target_t")]

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from command import ROOT, data_root, smoke_run, tiny_smoke
+from command import ROOT, data_root, finished_smoke, smoke_run, tiny_smoke
 
 SCHEDULER = {
     **{
@@ -50,6 +50,22 @@ def test_output_that_nobody_takes_is_no_traceback(command: str, code: int, told:
     assert done.returncode == code, done
     assert done.stderr.startswith(told)
     assert done.stderr.count("\n") == (1 if told else 0)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "plp export $RUN --to safetensors",
+        "plp report $RUN --out=$OUT",
+        "plp data export robomimic $FILE --domain flat --out $OUT/x.hdf5",
+    ],
+)
+def test_what_is_in_a_file_is_not_lost_with_the_screen(command: str, tmp_path: Path) -> None:
+    run, out = finished_smoke(tmp_path).path, tmp_path / "out"
+    done = shell(f"{command} >/dev/full", FILE=str(data_root() / "smoke.hdf5"), RUN=str(run), OUT=str(out))
+    assert (done.returncode, done.stderr.count("\n")) == (0, 1), done
+    assert done.stderr.startswith("plp: standard output: No space left on device; ")
+    assert out.exists() or (run / "policy.safetensors").exists()
 
 
 def test_a_run_in_a_schedulers_task_ends_though_nobody_reads(tmp_path: Path) -> None:
