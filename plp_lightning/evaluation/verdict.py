@@ -53,19 +53,21 @@ class Check:
         return f"at least {self.least:g}" if math.isfinite(self.least) else f"at most {self.most:g}"
 
 
+NOT_CLONED = (
+    "the demonstrations are not cloned well enough to be transferred",
+    "--alignment.epochs with twice as many, more demonstrations, or policy.scaling of the keys that decide",
+)
 CHECKS = (
     Check(
         "cloned",
         "success on proxy tasks",
-        "the demonstrations are not cloned well enough to be transferred",
-        "--alignment.epochs with twice as many, more demonstrations, or policy.scaling of the keys that decide",
+        *NOT_CLONED,
         least=0.8,
     ),
     Check(
         "unexplained",
         "share of held-out actions that is not explained",
-        "the demonstrations are not cloned well enough to be transferred",
-        "--alignment.epochs with twice as many, more demonstrations, or policy.scaling of the keys that decide",
+        *NOT_CLONED,
         most=0.1,
     ),
     Check(
@@ -133,12 +135,7 @@ def verdict(known: Mapping[str, float]) -> list[str]:
     """The verdict in lines: ``aligned``, or what falls short and which key to try."""
     missed = shortfalls(known)
     if not missed:
-        latent = (
-            "aligned"
-            if "mix" in known
-            else "nothing falls short; this method has no latent space that all domains share"
-        )
-        return [f"verdict: {latent}"]
+        return [f"verdict: {'aligned' if 'mix' in known else WITHOUT}"]
     return [f"verdict: falls short ({PAGE})", *(_line(name, known[name], check) for name, check in missed)]
 
 
