@@ -31,10 +31,8 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
     Raises:
         ConfigError: If an object can't be built, or the configuration not be kept.
     """
+    _check_needed(config)
     config.score = config.score or []
-    for key in NEEDED:
-        if not config[key]:
-            raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
     _settle_places(config)
     kept = keep(parser, config, dropped)
     config.trainer.logger = None  # a phase builds its own
@@ -74,6 +72,12 @@ def _made(parser: ArgumentParser, config: Namespace) -> Namespace:
     except Exception as error:  # classes of others have errors of their own for settings that cannot be
         raise ConfigError(f"a setting is impossible: {type(error).__name__}: {error}; change it") from None
     return made
+
+
+def _check_needed(config: Namespace) -> None:
+    for key in NEEDED:
+        if not config[key]:
+            raise ConfigError(f"{key} is not set; give an experiment, such as --config configs/r2r.yaml")
 
 
 def _settle_places(config: Namespace) -> None:

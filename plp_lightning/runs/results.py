@@ -33,7 +33,6 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
     records = {name: run.phase_record(name) for name in experiment.method.phases}
     done = {name: record for name, record in records.items() if record.get("state") == "done"}
     last, before = [*done.values()][-1], _trials_before(done, list(experiment.method.phases), origin)
-    resolved, found = yaml.safe_load(experiment.config), versions()
     results = {
         "experiment": experiment.name,
         "method": experiment.method.name,
@@ -49,6 +48,17 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         | {name: record["seconds"] for name, record in done.items()},
         "data_sha256": experiment.data.fingerprint,
         "device": last.get("device"),
+        **_made_with(yaml.safe_load(experiment.config)),
+    }
+    run.write_json(run.results.name, results)
+    print_results(results, run)
+    return results
+
+
+def _made_with(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings and versions that results come from."""
+    found = versions()
+    return {
         "recipe": resolved.get("recipe"),
         "sweep": resolved.get("sweep"),
         "settings": differing_settings(resolved),
@@ -57,9 +67,6 @@ def write_results(experiment: Experiment, run: RunDirectory, origin: RunDirector
         "version": found.get(OURS),
         "versions": found,
     }
-    run.write_json(run.results.name, results)
-    print_results(results, run)
-    return results
 
 
 def _trials_before(
