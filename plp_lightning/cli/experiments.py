@@ -193,6 +193,7 @@ def _helped(arguments: Sequence[str], options: OptionParser) -> bool:
     """Print all help if it is asked for; tell whether it was."""
     asked = any(word in ("-h", "--help") or word.startswith("--help=") for word in arguments)
     for parser in (options, help_parser(arguments)) if asked else ():
+        parser.prog = options.prog
         parser.print_help()
     return asked
 
