@@ -20,6 +20,15 @@ OURS = {
     "trainer.enable_progress_bar": "a run shows its progress in its own way: leave it away",
 }
 """Arguments of Lightning's Trainer that a run sets itself, and what to do instead."""
+PLAIN = (
+    (r"<class '([\w.]+)'>", r"\1"),
+    (r"import path or a subclass spec.*", "a class"),
+    (r"[\w.]*\bCallable\[\[[^\]]*\], ([\w.]+)(?:\[[^\]]*\])?\]", r"\1"),
+    (r"(?:\w+\.)+(\w+)", r"\1"),
+    (r", NoneType\b", " or null"),
+    (r"\bstr\b", "text"),
+)
+"""What jsonargparse says of types, and how a page's author would."""
 NEAR = 0.7  # Similarity from which a known word is offered in place of an unknown one
 
 
@@ -46,7 +55,9 @@ def _unknown_key(place: str, found: re.Match[str], parser: ArgumentParser) -> st
     full = ".".join([*([] if place == "the configuration" else [place]), *found.groups()])
     if full in OURS:
         return f"{full} is not for files and flags to set; {OURS[full]}"
-    known = _known_words(parser) | set(place.split("."))
+    known, words = _known_words(parser) | set(place.split(".")), full.split(".")
+    first = next((i for i, word in enumerate(words) if word not in known), len(words))
+    full = ".".join(words[: first + 1])  # below an unknown key nothing is known
     return f"unknown key {full!r}; " + _hint(full, known, "see plp fit --help")
 
 
@@ -56,8 +67,23 @@ def _unknown_class(place: str, found: re.Match[str], parser: ArgumentParser) -> 
 
 
 def _wrong_type(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
-    expected = re.sub(r"<class '([\w.]+)'>|typing\.", r"\1", found[1])
-    return f"{place} is {found[2]}; expected {expected}; mend the value"
+    return f"{place} is {found[2]}; expected {_plain(found[1])}; mend the value"
+
+
+def _plain(types: str) -> str:
+    """Types as a page's author knows them: classes by their short names."""
+    for pattern, word in PLAIN:
+        types = re.sub(pattern, word, types)
+    return types
+
+
+def _lacking(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
+    return f"{place} is a {found[1]} without {found[2]}; expected all that it needs: set {found[2]}"
+
+
+def _not_set(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
+    names = found[1].split(", ")
+    return f"{found[1]} not set; {GIVE if len(names) > 1 else f'set it on the page, or by --{names[0]} VALUE'}"
 
 
 COMPLAINTS: list[tuple[str, Callable[[str, re.Match[str], ArgumentParser], str]]] = [
@@ -69,8 +95,10 @@ COMPLAINTS: list[tuple[str, Callable[[str, re.Match[str], ArgumentParser], str]]
     (r"Expected a dot import path string: (\S+)", _unknown_class),
     (r"Not of type \w+: (.+?; expected [^\n|]+?)(?:\. Got value|\n|$)", lambda at, x, _: f"{at} is {x[1]}; change it"),
     (r"Expected an? (.+?)\. Got value: (.+?)(?:\. Got value|\n|$)", _wrong_type),
-    (r"Subtypes: \[([^\n]+)\][\s\S]*Given value: (.+?)(?:\. Got value|\n|$)", _wrong_type),
-    (r"arguments are required: (.+)", lambda _, x, __: f"{x[1]} not set; {GIVE}"),
+    (r"Not a valid subclass of (\w+)\. Got value: (.+?)\n", _wrong_type),
+    (r"given class_path '[\w.]*?(\w+)':\s+the following arguments are required: (.+)", _lacking),
+    (r"Subtypes: \[([^\n]+)\](?:(?!Subtypes)[\s\S])*?Given value: (.+?)(?:\. Got value|\n|$)", _wrong_type),
+    (r"arguments are required: (.+)", _not_set),
 ]
 """What jsonargparse says, most telling first, and how to tell it."""
 

@@ -18,6 +18,8 @@ from plp_lightning.cli.yaml_files import Tree
 
 GROUPS = ("domains", "data", "collection", "handover", "evaluation", "trainer")
 """Keys that hold settings and are no objects."""
+OBJECT = ("class_path", "init_args", "dict_kwargs")
+"""Keys of an object."""
 
 
 def check_shape(tree: Any, place: str = "") -> None:
@@ -29,6 +31,8 @@ def check_shape(tree: Any, place: str = "") -> None:
         name = f"{place}.{key}".lstrip(".")
         if (key == "init_args" or name in GROUPS) and not isinstance(value, Mapping):
             raise ConfigError(f"{name} is {value!r}; expected keys and values: mend it or leave it away")
+        if place == "domains" and not isinstance(value, Mapping):
+            raise ConfigError(f"{name} is {value!r}; expected simulator and expert, or {{}} where there is neither")
         if key == "class_path" and not isinstance(value, str):
             raise ConfigError(f"{name} is {value!r}; expected a class or its import path: mend it")
         check_shape(value, name)
@@ -67,16 +71,22 @@ def _other_class(below: Mapping[str, Any], above: Mapping[str, Any], allowed: Se
     return {**below, "init_args": {name: x for name, x in said.items() if new is None or name in defaults(new)}}
 
 
-def completed(tree: Any, allowed: Sequence[str]) -> Any:
-    """A configuration, or a part of it, with every class's own defaults in the place of settings that were left out.
+def completed(tree: Any, allowed: Sequence[str], place: str = "") -> Any:
+    """A configuration, or the part of it at ``place``, with every class's own defaults for settings that were left out.
 
     The parser would fill in the defaults of whatever class stood there before.
+
+    Raises:
+        ConfigError: If a setting stands beside a class.
     """
     if isinstance(tree, list):
-        return [completed(item, allowed) for item in tree]
+        return [completed(item, allowed, place) for item in tree]
     if not isinstance(tree, Mapping):
         return tree
-    inner = {key: completed(value, allowed) for key, value in tree.items()}
+    inner = {key: completed(value, allowed, f"{place}.{key}".lstrip(".")) for key, value in tree.items()}
+    if "class_path" in tree and (stray := [key for key in tree if key not in OBJECT]):
+        told = f"{place}.{stray[0]} stands beside the class {tree['class_path']}"
+        raise ConfigError(f"{told}; expected its settings below init_args: {place}.init_args.{stray[0]}")
     kind = find_class(str(tree["class_path"]), allowed) if "class_path" in tree else None
     if kind is None:
         return inner
