@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,7 +22,8 @@ class SimulatorError(UserError):
         innermost = traceback.extract_tb(error.__traceback__)[-1]
         self.simulator = simulator
         self.place = f"{type(error).__name__} at {Path(innermost.filename).name}:{innermost.lineno}"
-        said = f"{type(simulator).__name__} raised {self.place}: {' '.join(str(error).split())[:200]}"
+        words = " ".join(str(error).split())[:200]
+        said = f"{type(simulator).__name__} raised {self.place}{f': {words}' if words else ''}"
         super().__init__(said + consequence)
 
 
@@ -51,10 +52,15 @@ def forgiving(consequence: str) -> Iterator[None]:
 
 def tell_once(fault: SimulatorError, consequence: str) -> None:
     """Write a line to standard error, once for each place in which a simulator raises and each consequence."""
-    told: set[tuple[str, str]] = vars(fault.simulator).setdefault("told_faults", set())
-    if (fault.place, consequence) not in told:
-        told.add((fault.place, consequence))
-        print(f"plp: {fault}; {consequence}", file=sys.stderr)
+    say_once(fault.simulator, f"plp: {fault}; {consequence}", (fault.place, consequence))
+
+
+def say_once(simulator: object, line: str, about: Hashable = None) -> None:
+    """Write a line about a simulator to standard error, unless it, or another about the same, was written before."""
+    told: set[Hashable] = vars(simulator).setdefault("told_faults", set())
+    if (about or line) not in told:
+        told.add(about or line)
+        print(line, file=sys.stderr)
 
 
 def check_observation(simulator: object, found: Observation[np.ndarray], spec: DomainSpec, count: int) -> None:

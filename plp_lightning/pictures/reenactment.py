@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from datamodules.transfer import TransferDataModule
 from datamodules.types import Observation
 from plp_lightning.envs.base import Domain, Expert, Simulator
 from plp_lightning.envs.demonstrator import Demonstrator
-from plp_lightning.envs.faults import blaming
+from plp_lightning.envs.faults import blaming, say_once
 from plp_lightning.envs.views import Rendered, put_away
 from plp_lightning.pictures.replay import check_filmable, seen
 
@@ -59,7 +58,7 @@ class Reenactment:
         try:
             return self._drawn(simulator, data, domain, rows)
         except UserError as error:
-            print(f"plp: {error}; nearest states are not drawn", file=sys.stderr)
+            say_once(simulator, f"plp: {error}; nearest states are not drawn")
             return []
         finally:
             put_away(simulator)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,16 +45,22 @@ class Recipe:
             choose_backend()
         import gymnasium
 
+        with warnings.catch_warnings():  # what Gymnasium warns of are the author's own matters
+            warnings.filterwarnings("ignore", module=r"gymnasium\b")
+            return self._made(gymnasium, {**self.make, **self.tasks[task].get("make", {})})
+
+    def _made(self, gymnasium: Any, words: Mapping[str, Any]) -> Any:
         module, _, name = self.env.rpartition(":")
-        words = {**self.make, **self.tasks[task].get("make", {})}
         try:
             factory = getattr(importlib.import_module(module), name, None) if module else None
             if factory is not None:
                 return factory(**words)
             return _with_pictures(gymnasium, name, words)
         except (ImportError, TypeError, gymnasium.error.Error) as error:
-            told = " ".join(str(error).split())
-            raise ConfigError(f"environment {self.env!r} can't be made of {words}: {told}; mend env or make") from error
+            told = f"{f' of {words}' if words else ''}: {' '.join(str(error).split()).rstrip('.')}"
+            unknown = isinstance(error, gymnasium.error.UnregisteredEnv) and not module
+            remedy = f"name the package that registers it, as in my_package:{name}" if unknown else "mend env or make"
+            raise ConfigError(f"environment {self.env!r} can't be made{told}; {remedy}") from error
 
 
 def _with_pictures(gymnasium: Any, name: str, words: Mapping[str, Any]) -> Any:

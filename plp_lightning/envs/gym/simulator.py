@@ -14,6 +14,7 @@ from datamodules.types import DomainSpec, ObservationKey
 from plp_lightning.envs.base import available_cores
 from plp_lightning.envs.gym.share import Recipe
 from plp_lightning.envs.gym.spaces import ActionRange, find_leaves
+from plp_lightning.envs.gym.trial import try_out
 from plp_lightning.envs.pool import Pool, PooledSimulator
 from plp_lightning.envs.tasks import Tasks
 
@@ -88,9 +89,11 @@ class Gymnasium(PooledSimulator):
 
     @cached_property
     def _shown(self) -> Shown:
-        env = self.recipe.build(self.tasks.names[0])
+        task = self.tasks.names[0]
+        env = self.recipe.build(task)
         keys = tuple(leaf.key for leaf in find_leaves(env.observation_space, self.recipe.keys))
         found = Shown(keys, ActionRange.of(env.action_space), self.control_hz or _control_hz(env))
+        try_out(self.recipe, env, task, keys, len(found.actions.low))
         env.close()
         return found
 

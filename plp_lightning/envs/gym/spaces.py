@@ -80,7 +80,7 @@ class ActionRange:
         from gymnasium import spaces
 
         if not isinstance(space, spaces.Box) or not np.isfinite([space.low, space.high]).all():
-            expected = "a box with finite limits: wrap it, by gymnasium.wrappers.RescaleAction for one"
+            expected = "a box with finite limits: wrap it, by gymnasium.wrappers.TransformAction for one"
             raise ConfigError(f"the environment's actions are {space}; expected {expected}")
         return cls(space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64), space.shape)
 
