@@ -29,13 +29,25 @@ CLASSES = {
 }
 SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[A-Z])")
 ROLE = re.compile(r":\w+:`[\w.~]*?(\w+)`")
-KINDS = (*FOLDERS, *CLASSES, "tasks")
+KINDS = {
+    "experiments": "pages, for --config NAME",
+    "methods": "overlays, for --config methods/NAME behind a page",
+    "recipes": "overlays over page and method, for --config recipes/NAME",
+    "studies": "pages and overlays that ask one question, for --config studies/NAME",
+    "sweeps": "pages of many runs, for plp sweep --config sweeps/NAME",
+    "simulators": "classes for domains.*.simulator",
+    "experts": "classes for domains.*.expert",
+    "terms": "classes for alignment.terms.*",
+    "scores": "classes for score",
+    "metrics": "classes for evaluation.metrics",
+    "tasks": "tasks of an experiment: plp list tasks r2r",
+}
 
 
 def run_list(arguments: Sequence[str]) -> None:
-    """``plp list KIND``: pages, classes, or the tasks of an experiment."""
+    """``plp list``: the kinds; ``plp list KIND``: pages, classes, or the tasks of an experiment."""
     parser = OptionParser("plp list", description="What there is to choose from, a line each.")
-    parser.add_argument("kind", choices=KINDS, help="what to list")
+    parser.add_argument("kind", choices=KINDS, nargs="?", help="what to list")
     parser.add_argument("experiment", nargs="?", default="smoke", help="whose tasks; a page's file or short name")
     parser.add_argument("--allow_imports", action="append", default=[], help="package of yours that the page uses")
     options = parser.parse_args(list(arguments))
@@ -45,7 +57,9 @@ def run_list(arguments: Sequence[str]) -> None:
         print(visible(f"{name:{width}}  {told}".rstrip()))
 
 
-def _lines(kind: str, experiment: str, allowed: Sequence[str]) -> Lines:
+def _lines(kind: str | None, experiment: str, allowed: Sequence[str]) -> Lines:
+    if kind is None:
+        return iter((f"plp list {name}", told) for name, told in KINDS.items())
     if kind in FOLDERS:
         return _pages(PAGES / FOLDERS[kind])
     return _classes(CLASSES[kind]) if kind in CLASSES else _tasks(experiment, allowed)

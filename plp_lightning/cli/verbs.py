@@ -28,7 +28,7 @@ VERBS = {
     "rollout": Verb("rollout", "films of a run's policy, failures first", keeps=True),
     "export": Verb("export", "a run's policy in a file of its own: ONNX, torch, safetensors", keeps=True),
     "report": Verb("report", "tables and figures of many runs, beside the paper's values"),
-    "data": Verb("data", "inspect, validate or import trajectory files"),
+    "data": Verb("data", "inspect, validate, import or export trajectory files"),
     "list": Verb("listing", "experiments, methods, simulators, tasks, a line each"),
     "schema": Verb("schema", "a JSON Schema of pages, by which editors complete and check"),
     "completion": Verb("completion", "a script by which a shell completes all of this"),

@@ -7,7 +7,7 @@ import re
 import pytest
 from command import ROOT, complaint, plp
 
-from plp_lightning.cli.listing import KINDS
+from plp_lightning.cli.listing import CLASSES, FOLDERS, KINDS
 
 
 def listed(*words: str) -> dict[str, str]:
@@ -30,6 +30,13 @@ def test_classes_are_listed_by_the_names_that_pages_have() -> None:
     assert not {"Simulator", "Tabletop", "Suite"} & {*listed("simulators")}
     assert "L_MMD" in listed("terms")["MMD"]
     assert not [told for kind in KINDS if kind != "tasks" for told in listed(kind).values() if ":func:" in told]
+
+
+def test_alone_it_lists_what_can_be_listed() -> None:
+    assert {*FOLDERS, *CLASSES, "tasks"} == {*KINDS}
+    lines = plp("list").out.splitlines()
+    assert [line.split()[2] for line in lines] == [*KINDS]
+    assert all(plp(*line.split()[1:3]).code == 0 for line in lines)
 
 
 def test_tasks_are_those_of_the_experiment() -> None:
