@@ -54,7 +54,7 @@ def _write(out: Path, records: Sequence[Record], sections: Sequence[Section]) ->
     _write_images(out / "figures", sections)
     for name, text in files.items():
         write_atomically(out / name, text)
-        print(f"{out / name}: {len(records)} runs")
+        print(f"{out / name}: {len(records)} run{'s' * (len(records) != 1)}")
 
 
 def _write_images(folder: Path, sections: Sequence[Section]) -> None:

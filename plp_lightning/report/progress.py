@@ -44,7 +44,8 @@ def progress_charts(groups: Sequence[Group], tell: Tell) -> Figure:
         if any(courses.values()):
             images.append(_image(experiment, {group: found for group, found in courses.items() if found}))
     text = (
-        "A line a run, phases one after the other from grey line to grey line; the last point is the final evaluation."
+        "A line a run, phases one after the other from grey line to grey line; the last point is the final evaluation. "
+        "Success of the target task is solid in the target domain and dashed in the source domain."
     )
     return Figure("Over epochs", text, images)
 

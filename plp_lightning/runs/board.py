@@ -71,9 +71,10 @@ class Board(TensorBoardLogger):
         return self.before.batches + step
 
     @rank_zero_only
-    def show_charts(self) -> None:
-        """Set up the page of custom scalars."""
-        self.experiment.add_custom_scalars({"run": CHARTS})
+    def show_charts(self, scored: bool) -> None:
+        """Set up the page of custom scalars, with alignment scores if the run is ``scored``."""
+        charts = {title: chart for title, chart in CHARTS.items() if scored or title != "alignment"}
+        self.experiment.add_custom_scalars({"run": charts})
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:

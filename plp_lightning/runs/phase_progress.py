@@ -9,6 +9,7 @@ from plp_lightning.methods.phase import Phase
 from plp_lightning.runs.progress import JobProgress
 
 SUCCESS = "eval/target_success"
+NONE_HELD_OUT = "nothing is held out, as none of its tasks has two demonstrations: no held-out loss, no best.ckpt"
 
 
 class PhaseProgress(Callback):
@@ -21,6 +22,8 @@ class PhaseProgress(Callback):
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self.progress = JobProgress(self.phase, trainer.max_epochs or 0, "epochs").__enter__()
         self.progress.advance(trainer.current_epoch)
+        if trainer.num_val_batches == [0] and trainer.limit_val_batches:
+            self.progress.tell(NONE_HELD_OUT)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         assert self.progress is not None

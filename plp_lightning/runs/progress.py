@@ -49,4 +49,5 @@ class JobProgress:
     def _line(self, note: str) -> None:
         self.last_line = time.monotonic()
         seconds = self.last_line - self.began
-        print(f"{self.label}: {self.done}/{self.total} {self.unit}, {seconds:.0f} s {note}".rstrip(), flush=True)
+        told = f", {note}" if note else ""
+        print(f"{self.label}: {self.done}/{self.total} {self.unit}, {seconds:.0f} s{told}", flush=True)

@@ -93,8 +93,8 @@ def print_results(results: Mapping[str, Any], run: RunDirectory) -> None:
     errors = ", ".join(f"{domain} {error:.4f}" for domain, error in results.get("held_out", {}).items())
     scores = ", ".join(f"{name} {value:.3f}" for name, value in results["alignment"].items())
     times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
-    lines = f"alignment: {scores or 'not scored'}\nerror of held-out actions: {errors or 'none held out'}"
-    lines += f"\ntime: {times}\nrun directory: {run.path}"
+    lines = f"alignment: {scores}\n" if scores else ""
+    lines += f"error of held-out actions: {errors or 'none held out'}\ntime: {times}\nrun directory: {run.path}"
     lines = "\n".join([lines, *verdict(results["facts"])] if results.get("facts") else [lines])
     Console(soft_wrap=True).print(shown(lines), highlight=False)
 

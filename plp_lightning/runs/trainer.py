@@ -66,6 +66,9 @@ NOT_FOR_US = (
     r"GPU available but not used",
     # Every rank validates all that is held out, and comes to the same.
     r"It is recommended to use `self.log\(.*, sync_dist=True\)`",
+    # Where no task has two demonstrations nothing is held out, which a phase's progress says.
+    r"Total length of `FixedBatches` across ranks is zero",
+    r"`ModelCheckpoint\(monitor='val/\w+'\)` could not find the monitored key",
     # Lightning 2.6 uses a name that newer torch deprecates.
     r".*isinstance\(treespec, LeafSpec\)",
 )
@@ -163,7 +166,7 @@ def build_trainer(
         print(visible(f"{name}: its profile goes into {run.phase(name)}/fit-profile.txt"), flush=True)
     before = Progress.before(experiment, run, name)
     curves = Board(run.path, name, before, purge_step=resumed.step if resumed else None)
-    curves.show_charts()
+    curves.show_charts(scored=experiment.score is not None)
     further = further_loggers(experiment, run.path, name)
     callbacks = [Speed([curves, *further]), *_own_callbacks(experiment, run, name, phase), stopwatch]
     callbacks += copy.deepcopy([*experiment.callbacks])

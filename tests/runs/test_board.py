@@ -11,7 +11,7 @@ from command import finished_smoke, plp, smoke_run, tiny_smoke
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.custom_scalar import layout_pb2
 
-from plp_lightning.runs.board import result_table
+from plp_lightning.runs.board import Board, Progress, result_table
 from plp_lightning.runs.curves import read_rows
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.records import record_hash
@@ -43,10 +43,22 @@ def test_steps_and_epochs_go_on_over_phases_and_not_in_the_file_of_each(run: Run
     assert {value for _, name, value in rows if name == "epoch"} == {"0", "1"}
 
 
-def test_the_main_charts_come_first(run: RunDirectory) -> None:
-    content = events_of(run, "alignment").Tensors("custom_scalars__config__")[0].tensor_proto.string_val[0]
+def titles(run: RunDirectory, phase: str) -> list[str]:
+    """Titles of the charts on a phase's page of custom scalars."""
+    content = events_of(run, phase).Tensors("custom_scalars__config__")[0].tensor_proto.string_val[0]
     (category,) = layout_pb2.Layout.FromString(content).category
-    assert [chart.title for chart in category.chart] == ["success", "alignment", "held-out loss", "loss"]
+    return [chart.title for chart in category.chart]
+
+
+def test_the_main_charts_come_first(run: RunDirectory) -> None:
+    assert titles(run, "alignment") == ["success", "alignment", "held-out loss", "loss"]
+
+
+def test_a_run_without_scores_has_no_chart_of_them(tmp_path: Path) -> None:
+    board = Board(tmp_path, "alignment", Progress(0, 0), None)
+    board.show_charts(scored=False)
+    board.save()
+    assert titles(RunDirectory(tmp_path), "alignment") == ["success", "held-out loss", "loss"]
 
 
 def test_the_last_phase_has_the_row_of_settings_and_the_table(run: RunDirectory) -> None:

@@ -17,7 +17,7 @@ def test_a_log_gets_one_closing_line(capsys: pytest.CaptureFixture[str]) -> None
     with JobProgress("collecting", 3, "demonstrations") as job:
         job.advance(2, "arm reach")
         job.advance()
-    assert re.fullmatch(r"collecting: 3/3 demonstrations, \d+ s done\n", capsys.readouterr().out)
+    assert re.fullmatch(r"collecting: 3/3 demonstrations, \d+ s, done\n", capsys.readouterr().out)
 
 
 def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,9 +27,9 @@ def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str], monk
         job.advance(2)
     lines = re.sub(r"\d+ s", "S s", capsys.readouterr().out).splitlines()
     assert lines == [
-        "alignment: 1/4 epochs, S s held-out loss 0.5",
+        "alignment: 1/4 epochs, S s, held-out loss 0.5",
         "alignment: 3/4 epochs, S s",
-        "alignment: 3/4 epochs, S s done",
+        "alignment: 3/4 epochs, S s, done",
     ]
 
 
@@ -37,6 +37,14 @@ def test_a_job_that_fails_is_not_called_done(capsys: pytest.CaptureFixture[str])
     with pytest.raises(ValueError, match="no"), JobProgress("collecting", 3, "demonstrations"):
         raise ValueError("no")
     assert capsys.readouterr().out == ""
+
+
+def test_a_phase_with_nothing_held_out_says_so(tmp_path: Path) -> None:
+    answer = plp("fit", *tiny_smoke(tmp_path), "--data.target_trajectories", "1", "--score", "null")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out.count("adaptation: nothing is held out, as none of its tasks has two demonstrations") == 1
+    assert "alignment: nothing is held out" not in answer.out
+    assert "alignment: \n" not in answer.out
 
 
 def test_success_of_an_earlier_epoch_says_of_which(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
