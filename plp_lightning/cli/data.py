@@ -92,20 +92,26 @@ def _show(summary: dict[str, Any]) -> None:
     console = Console()
     size = f"{summary['bytes'] / 2**20:.1f} MiB"
     console.print(f"{shown(summary['file'])}: {shown(summary['format'])}, {size}", highlight=False, soft_wrap=True)
-    for table in (_domain_table(summary), _key_table(summary), _count_table(summary)):
+    for table in (_domain_table(summary), _length_table(summary), _key_table(summary), _count_table(summary)):
         console.print(table)
     console.print("provenance", style="bold")
     console.print_json(visible(dumps(summary["provenance"], ensure_ascii=False)))
 
 
 def _domain_table(summary: dict[str, Any]) -> Table:
-    columns = ("episodes", "successes", "last known", "steps", "length min/mean/max")
-    table = Table("domain", "simulated by", "actions", "Hz", *columns)
+    table = Table("domain", "actions", "Hz", "simulated by")
+    for domain in summary["domains"]:
+        actions, rate = f"{domain['action_size']}", f"{domain['control_hz']:g}"
+        table.add_row(shown(domain["name"]), actions, rate, shown(domain["env"]))
+    return table
+
+
+def _length_table(summary: dict[str, Any]) -> Table:
+    table = Table("domain", "episodes", "successes", "last known", "steps", "length min / mean / max")
     for domain in summary["domains"]:
         span = "{min} / {mean:.1f} / {max}".format(**domain["length"]) if domain["length"] else "–"
         totals = (str(domain[name]) for name in ("episodes", "successes", "last_known", "steps"))
-        actions, rate = f"{domain['action_size']}", f"{domain['control_hz']:g}"
-        table.add_row(shown(domain["name"]), shown(domain["env"]), actions, rate, *totals, span)
+        table.add_row(shown(domain["name"]), *totals, span)
     return table
 
 
