@@ -95,6 +95,7 @@ class ExpertCollector:
                 task, count = next(iter(tasks.items()))
                 there = stored_count(path, name, task)
                 held = f"which holds {there} of the {there + count} of task {task!r}"
+                held = held if path.exists() else "which is not there"
                 remedy = f"add one or import demonstrations into {path}, {held}"
                 raise UserError(f"domain {name!r} has no expert; {remedy}")
             domain.expert.check(domain.world)

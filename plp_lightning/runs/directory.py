@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,9 @@ class RunDirectory:
         """Open a run that was begun before; a :class:`ConfigError` says if ``path`` is none, or leads elsewhere."""
         run = cls(path)
         if not run.config.is_file():
-            raise ConfigError(f"{path}: is no run directory (it has no config.yaml); name one made by plp fit")
+            places = (place for depth in range(4) for place in sorted(path.glob("*/" * depth + "seed_*/config.yaml")))
+            example = "".join(f", such as {place.parent}" for place in islice(places, 1))
+            raise ConfigError(f"{path}: is no run directory (it has no config.yaml); name one made by plp fit{example}")
         if link := next((entry for entry in path.iterdir() if entry.is_symlink()), None):
             raise ConfigError(f"{link}: is a link, through which a run would write elsewhere; expected its own files")
         return run

@@ -74,5 +74,23 @@ def test_a_mistake_is_told_with_what_to_do(key: str, value: Any, expected: str, 
     assert expected in told(changed(key, value), tmp_path)
 
 
+@pytest.mark.parametrize("up", range(1, 5))
+def test_a_folder_above_a_run_is_told_with_the_run(up: int, tmp_path: Path) -> None:
+    run = tmp_path / "runs" / "arms" / "plp" / "reach" / "seed_0"
+    run.mkdir(parents=True)
+    (run / "config.yaml").touch()
+    assert complaint("test", run.parents[up - 1]).endswith(f"name one made by plp fit, such as {run}\n")
+
+
+def test_a_folder_with_no_run_below_is_told_alone(tmp_path: Path) -> None:
+    assert complaint("test", tmp_path).endswith("(it has no config.yaml); name one made by plp fit\n")
+
+
+def test_demonstrations_that_are_nowhere_are_told_so(tmp_path: Path) -> None:
+    page = changed("domains.shop", PAGE["domains"]["lab"])
+    assert "import demonstrations into" in (answer := told(page, tmp_path))
+    assert answer.endswith("mine.hdf5, which is not there\n")
+
+
 def test_a_verb_without_a_page_asks_for_one() -> None:
     assert "give an experiment, such as --config configs/r2r.yaml" in complaint("fit")
