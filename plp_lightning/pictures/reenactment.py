@@ -53,7 +53,8 @@ class Reenactment:
         """Pictures ``(H, W, 3)`` uint8 of a domain's states at rows ``(n,)``; none, and a line, if that can't be."""
         simulator = self.simulators.get(domain)
         if not isinstance(simulator, Simulator) or not isinstance(simulator, Rendered):
-            print(f"nearest states are not drawn: domain {domain!r} has neither a camera nor a simulator that renders")
+            if simulator is not None:  # who has demonstrations alone expects no pictures
+                print(f"nearest states are not drawn: domain {domain!r} has no camera, nor a simulator that renders")
             return []
         try:
             return self._drawn(simulator, data, domain, rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -93,10 +93,18 @@ def print_results(results: Mapping[str, Any], run: RunDirectory) -> None:
     errors = ", ".join(f"{domain} {error:.4f}" for domain, error in results.get("held_out", {}).items())
     scores = ", ".join(f"{name} {value:.3f}" for name, value in results["alignment"].items())
     times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["seconds"].items())
-    lines = f"alignment: {scores}\n" if scores else ""
+    lines = "".join(f"{line}\n" for line in _invalid(results)) + (f"alignment: {scores}\n" if scores else "")
     lines += f"error of held-out actions: {errors or 'none held out'}\ntime: {times}\nrun directory: {run.path}"
     lines = "\n".join([lines, *verdict(results["facts"])] if results.get("facts") else [lines])
     Console(soft_wrap=True).print(shown(lines), highlight=False)
+
+
+def _invalid(results: Mapping[str, Any]) -> Iterator[str]:
+    """A line for each trial with invalid episodes: what failed there may not be the policy."""
+    for trial, told in ROWS.items():
+        if count := results.get(trial, {}).get("invalid", 0):
+            found = f"{told}: {count} of {results[trial]['episodes']} episodes are invalid and count as failed"
+            yield f"{found}: the simulator failed, or showed or was told what is no number"
 
 
 def print_success(outcomes: Mapping[str, Mapping[str, Any]], title: str) -> None:

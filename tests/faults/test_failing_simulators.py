@@ -199,6 +199,11 @@ def test_a_run_goes_on_when_a_simulator_raises(tmp_path: Path) -> None:
     found = results(smoke_run(tmp_path))
     assert [(found[name]["success"], found[name]["invalid"]) for name in ("target", "proxy")] == [(0.5, 2)] * 2
     assert found["source"]["invalid"] == 0
+    told = [line for line in answer.out.splitlines() if "episodes are invalid and count as failed" in line]
+    assert [line.split(": ")[:2] for line in told] == [
+        [f"{tasks} in target domain", "2 of 4 episodes are invalid and count as failed"]
+        for tasks in ("target task", "proxy tasks")
+    ]
     assert answer.err.count("Solving raised RuntimeError") == 1
     assert "Traceback" not in answer.err
 

@@ -100,7 +100,7 @@ def test_demonstrations_that_lead_elsewhere_are_not_drawn(
 REASONS = {
     Dark: "plp: no light; nearest states are not drawn",
     Broken: "plp: Broken raised ValueError at test_reenactment.py",
-    Blind: "nearest states are not drawn: domain 'flat' has neither a camera nor a simulator that renders",
+    Blind: "nearest states are not drawn: domain 'flat' has no camera, nor a simulator that renders",
 }
 
 
@@ -114,6 +114,15 @@ def test_what_can_not_be_drawn_is_told_in_a_line(
     told = "".join(capsys.readouterr())
     assert told.startswith(REASONS[kind])
     assert told.count("\n") == 1
+
+
+def test_who_has_demonstrations_alone_is_not_told_of_pictures(
+    trajectory_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    data.setup("fit")
+    assert Reenactment({}).images(data, "flat", ROWS) == []
+    assert "".join(capsys.readouterr()) == ""
 
 
 def test_a_run_leaves_them_in_every_phase_and_learns_the_same(tmp_path: Path) -> None:
