@@ -86,7 +86,7 @@ def test_wrong_settings_are_named(words: str, told: str, tmp_path: Path) -> None
         (None, "extra.yaml: can't be read (No such file or directory)"),
         ("data: [1,\nb: }", "extra.yaml: is no YAML (while parsing"),
         ("- 1", "extra.yaml: holds a list; expected keys and values"),
-        ("evaluatoin: {episodes: 3}", "unknown key 'evaluatoin.episodes'; did you mean 'evaluation.episodes'?"),
+        ("evaluatoin: {episodes: 3}", "unknown key 'evaluatoin'; did you mean 'evaluation'?"),
         ("data: {batch_sise: 3}", "unknown key 'data.batch_sise'; did you mean 'data.batch_size'?"),
         ("adaptation: {init_args: {epocs: 3}}", "did you mean 'adaptation.epochs'?"),
         ("collection: {noise: [1]}", "collection.noise is [1]; expected a number, at least 0; change it"),
@@ -173,8 +173,9 @@ def test_values_that_are_not_finite_are_not_written(tmp_path: Path) -> None:
 
 
 def test_missing_demonstrations_without_an_expert_are_named(tmp_path: Path) -> None:
-    options = ["--data.root", tmp_path, "--run_root", tmp_path, "--domains.tall.expert", "null"]
+    options = ["--data.root", tmp_path, "--run_root", tmp_path / "runs", "--domains.tall.expert", "null"]
     assert "domain 'tall' has no expert; add one or import" in complaint("fit", *SMOKE, *options)
+    assert not (tmp_path / "runs").exists()
 
 
 class Payload:

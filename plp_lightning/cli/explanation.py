@@ -62,8 +62,8 @@ def _unknown_key(place: str, found: re.Match[str], parser: ArgumentParser) -> st
 
 
 def _unknown_class(place: str, found: re.Match[str], parser: ArgumentParser) -> str:
-    names = [kind.__name__ for kind in known_classes()]
-    return f"{place}: unknown class {found[1]!r}; " + _hint(found[1], names, "expected a class or its import path")
+    names, name = [kind.__name__ for kind in known_classes()], found[1].rstrip(".")
+    return f"{place}: unknown class {name!r}; " + _hint(name, names, "expected a class or its import path")
 
 
 def _wrong_type(place: str, found: re.Match[str], parser: ArgumentParser) -> str:

@@ -66,7 +66,7 @@ class ExpertCollector:
 
     def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
         """Add ``missing[domain][task]`` demonstrations to the file at ``path``; if interrupted, those made so far."""
-        self._check_experts(path, missing)
+        self.check_experts(path, missing)
         first = next(iter(self.domains.values())).world
         specs = [domain.world.spec(name) for name, domain in self.domains.items()]
         with Recorder(path, specs, first.tasks.names, self._provenance()) as recorder:
@@ -88,7 +88,8 @@ class ExpertCollector:
             if made:
                 recorder.add(made)
 
-    def _check_experts(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+    def check_experts(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
+        """Refuse, by a :class:`UserError`, if an expert of ``missing[domain][task]`` is not there or not for this."""
         for name, tasks in missing.items():
             domain = self.domains[name]
             if domain.expert is None:

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 from datamodules.errors import ConfigError, UserError
 from plp_lightning.envs.base import Simulator
+from plp_lightning.runs.collection import ExpertCollector
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.specs import check_file
 
@@ -68,6 +69,7 @@ def check_demonstrations(experiment: Experiment) -> None:
         data.path.stat()
         if data.collector is not None:
             data.collector.check(data.path)
-        data.missing()
     if data.collector is None:
         data.prepare_data()
+    elif isinstance(data.collector, ExpertCollector):
+        data.collector.check_experts(data.path, data.missing())

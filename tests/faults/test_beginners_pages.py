@@ -67,6 +67,7 @@ def test_a_value_of_another_kind_is_told_in_the_words_of_a_page(key: str, value:
             {"lab": {"simulator": {"class_path": "Gymnasium"}}},
             "unknown key 'domain'; did you mean 'domains'?",
         ),
+        ("alignment.init_args.optimizer", "Adma", "alignment.optimizer: unknown class 'Adma'; "),
         ("data.target_tusk", "far", "unknown key 'data.target_tusk'; did you mean 'data.target_task'?"),
     ],
 )
@@ -90,6 +91,7 @@ def test_demonstrations_that_are_nowhere_are_told_so(tmp_path: Path) -> None:
     page = changed("domains.shop", PAGE["domains"]["lab"])
     assert "import demonstrations into" in (answer := told(page, tmp_path))
     assert answer.endswith("mine.hdf5, which is not there\n")
+    assert not (tmp_path / "runs").exists(), "the page is mended and run again"
 
 
 def test_a_verb_without_a_page_asks_for_one() -> None:
