@@ -37,7 +37,8 @@ class LiftExpert(Expert):
         self._hand = spec.columns(["eef_pos"])
         self._finger = spec.columns(["gripper_qpos"])[0]
         self._sign, self._threshold = BUILDS[simulator.robot].holds
-        self._blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
+        blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
+        self._blocks = simulator.frame.stated(blocks)  # as the hand's position is seen, and as it is told to move
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
         hand = observation.state[:, self._hand].astype(np.float64)

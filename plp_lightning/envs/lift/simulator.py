@@ -17,6 +17,7 @@ from datamodules.settings import NonNegativeFloat, NonNegativeInt, PositiveInt
 from datamodules.streams import start_generator
 from datamodules.types import DomainSpec, Observation, ObservationKey
 from plp_lightning.envs.base import Simulator, Step
+from plp_lightning.envs.lift.frame import Frame
 from plp_lightning.envs.lift.robots import BUILDS, Robot
 from plp_lightning.envs.lift.tasks import TASKS, block_place
 
@@ -38,6 +39,8 @@ class Lift(Simulator):
         joint_noise: Standard deviation of the initial joint angles around robosuite's initial pose, rad.
         horizon: Control steps after which an unsolved episode counts as failed.
         threads: Threads that step physics; 0 means one for each core.
+        turned: Quarter turns of the lab's frame, in which the hand's pose is seen and the action moves it, seen from
+            above counterclockwise.
 
     Raises:
         ConfigError: If there is no such robot.
@@ -53,10 +56,12 @@ class Lift(Simulator):
         joint_noise: NonNegativeFloat = 0.05,
         horizon: PositiveInt = 200,
         threads: NonNegativeInt = 0,
+        turned: NonNegativeInt = 0,
     ) -> None:
         if robot not in BUILDS:
             raise ConfigError(f"robot is {robot!r}; expected one of: {', '.join(BUILDS)}")
         self.robot, self.joint_noise, self.horizon, self.threads = robot, joint_noise, horizon, threads
+        self.frame = Frame(turned)
 
     def spec(self, name: str) -> DomainSpec:
         """States, ``(32,)`` of a Sawyer and ``(37,)`` of a UR5e, named and ordered as robosuite's ``robot0_<key>``."""
@@ -71,12 +76,14 @@ class Lift(Simulator):
             ("gripper_qvel", fingers, f"{unit}/s"),
         )
         keys = tuple(ObservationKey(key, (size,), unit=unit) for key, size, unit in sizes)
-        env = f"robosuite Lift, {self.robot}, OSC position, fingers down, joint noise {self.joint_noise} rad"
+        env = (
+            f"robosuite Lift, {self.robot}, OSC position, fingers down, joint noise {self.joint_noise} rad{self.frame}"
+        )
         return DomainSpec(name, keys, action_size=4, control_hz=20.0, env=env)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the end effector in the world, ``(N, 3)``, m: both robots stand at the same table."""
-        return state[:, self.spec("").columns(["eef_pos"])]
+        return self.frame.meant(state[:, self._hand[0]])
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         blocks = np.array([block_place(task) for task in tasks]).reshape(-1, 3)
@@ -84,16 +91,31 @@ class Lift(Simulator):
         # Robot and task join the seed, so that equal seeds do not align the domains' initial poses.
         streams = [start_generator(s, f"{self.robot} {task}") for task, s in zip(tasks, seeds, strict=True)]
         noise = np.array([self.joint_noise * stream.standard_normal(joints) for stream in streams])
-        return Observation(self._physics.reset(blocks, noise.reshape(-1, joints)))
+        return Observation(self._stated(self._physics.reset(blocks, noise.reshape(-1, joints))))
 
     def step(self, actions: np.ndarray, episodes: np.ndarray) -> Step:
         physics = self._physics
-        valid = physics.step(actions, episodes)
-        return Step(Observation(physics.episodes.observation[episodes]), physics.lifted(episodes) & valid, ~valid)
+        valid = physics.step(np.hstack([self.frame.meant(actions[:, :3]), actions[:, 3:]]), episodes)
+        seen = Observation(self._stated(physics.episodes.observation[episodes]))
+        return Step(seen, physics.lifted(episodes) & valid, ~valid)
 
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """Pictures ``(n, H, W, 3)`` of robot, block and pedestal, with all that robosuite has to be seen."""
         return self._studio.pictures(self._physics, episodes, size)
+
+    def _stated(self, state: np.ndarray) -> np.ndarray:
+        """States ``(N, O)`` with the hand in the lab's frame."""
+        if not self.frame.quarters:
+            return state
+        (hand, pose), stated = self._hand, state.copy()
+        stated[:, hand], stated[:, pose] = self.frame.stated(state[:, hand]), self.frame.stated_pose(state[:, pose])
+        return stated
+
+    @cached_property
+    def _hand(self) -> tuple[list[int], list[int]]:
+        """Columns of the hand's position and of its pose."""
+        spec = self.spec("")
+        return spec.columns(["eef_pos"]), spec.columns(["eef_quat"])
 
     @cached_property
     def _studio(self) -> Studio:
