@@ -197,7 +197,7 @@ def test_runs_that_no_table_quotes_have_a_table_of_their_own():
 def test_the_paper_s_values_name_pages_and_overlays():
     methods = {path.stem for path in METHODS}
     # The paper knows nothing of these.
-    ours = {"door_open_views", "lift_panda_to_ur5e", "r2r_turned", "stack_sawyer_to_panda", "two_arms"}
+    ours = {"door_open_views", "lift_panda_to_ur5e", "stack_sawyer_to_panda", "two_arms"}
     assert set(paper().values) == PAGES - {"base", "smoke", "r2r_paper"} - ours  # r2r_paper's values are those of r2r
     for values in paper().values.values():
         assert set(values) <= methods
