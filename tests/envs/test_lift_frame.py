@@ -39,7 +39,7 @@ def test_points_and_poses_are_stated_alike(quarters: int) -> None:
 
 @pytest.mark.parametrize("quarters", QUARTERS)
 def test_an_episode_is_the_same_but_for_how_hand_and_commands_are_stated(quarters: int) -> None:
-    plain, turned, frame = Lift("Sawyer", threads=1), Lift("Sawyer", threads=1, turned=quarters), Frame(quarters)
+    plain, turned, frame = Lift("Sawyer", threads=1), Lift("Sawyer", threads=1, quarter_turns=quarters), Frame(quarters)
     spec, expert, other = plain.spec("d"), LiftExpert(), LiftExpert()
     hand, pose = spec.columns(["eef_pos"]), spec.columns(["eef_quat"])
     seen, stated = plain.reset(TASKS, [0, 1]).state, turned.reset(TASKS, [0, 1]).state
@@ -59,5 +59,5 @@ def test_an_episode_is_the_same_but_for_how_hand_and_commands_are_stated(quarter
 
 
 def test_demonstrations_of_one_frame_are_not_taken_for_those_of_another() -> None:
-    assert len({Lift("Sawyer", turned=quarters).spec("d").env for quarters in range(4)}) == 4
-    assert Lift("Sawyer").spec("d") == Lift("Sawyer", turned=4).spec("d")
+    assert len({Lift("Sawyer", quarter_turns=quarters).spec("d").env for quarters in range(4)}) == 4
+    assert Lift("Sawyer").spec("d") == Lift("Sawyer", quarter_turns=4).spec("d")

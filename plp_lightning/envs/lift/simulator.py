@@ -39,8 +39,8 @@ class Lift(Simulator):
         joint_noise: Standard deviation of the initial joint angles around robosuite's initial pose, rad.
         horizon: Control steps after which an unsolved episode counts as failed.
         threads: Threads that step physics; 0 means one for each core.
-        turned: Quarter turns of the lab's frame, in which the hand's pose is seen and the action moves it, seen from
-            above counterclockwise.
+        quarter_turns: Of the lab's frame, seen from above counterclockwise: along its axes the hand's pose is seen, and the
+            action moves it.
 
     Raises:
         ConfigError: If there is no such robot.
@@ -56,12 +56,12 @@ class Lift(Simulator):
         joint_noise: NonNegativeFloat = 0.05,
         horizon: PositiveInt = 200,
         threads: NonNegativeInt = 0,
-        turned: NonNegativeInt = 0,
+        quarter_turns: NonNegativeInt = 0,
     ) -> None:
         if robot not in BUILDS:
             raise ConfigError(f"robot is {robot!r}; expected one of: {', '.join(BUILDS)}")
         self.robot, self.joint_noise, self.horizon, self.threads = robot, joint_noise, horizon, threads
-        self.frame = Frame(turned)
+        self.frame = Frame(quarter_turns)
 
     def spec(self, name: str) -> DomainSpec:
         """States, ``(32,)`` of a Sawyer and ``(37,)`` of a UR5e, named and ordered as robosuite's ``robot0_<key>``."""
