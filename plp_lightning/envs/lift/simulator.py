@@ -39,8 +39,8 @@ class Lift(Simulator):
         joint_noise: Standard deviation of the initial joint angles around robosuite's initial pose, rad.
         horizon: Control steps after which an unsolved episode counts as failed.
         threads: Threads that step physics; 0 means one for each core.
-        quarter_turns: Of the lab's frame, seen from above counterclockwise: along its axes the hand's pose is seen, and the
-            action moves it.
+        quarter_turns: Of the lab's frame, seen from above counterclockwise. Along its axes the hand's pose is seen, and
+            the action moves it.
 
     Raises:
         ConfigError: If there is no such robot.
