@@ -60,14 +60,14 @@ def _place(page: Path, target: str) -> Path:
 
 
 def _outside(page: Path) -> Iterator[Path]:
-    """What a page leads to outside of docs/."""
+    """Gives the places outside of docs/ that a page leads to."""
     if page.suffix == ".md" or page.is_dir():
         places = (_place(page, target) for target, _ in LINK.findall(FENCE.sub("", _shown(page))))
         yield from (place for place in places if not place.is_relative_to(DOCS))
 
 
 def _name(place: Path) -> str:
-    """Where the site has a file or a folder."""
+    """Path in the site of a file or a folder."""
     if place.is_relative_to(DOCS):
         return f"{(place / 'README.md' if place.is_dir() else place).relative_to(DOCS)}"
     if place.parent == ROOT and place.suffix == ".md":

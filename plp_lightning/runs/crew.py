@@ -45,7 +45,7 @@ class Job(NamedTuple):
     weights: Path | None  # Checkpoint that it begins with
 
     def to_json(self) -> str:
-        """As text."""
+        """Its text, for :meth:`from_json`."""
         return json.dumps([None if part is None else str(part) for part in self])
 
     @classmethod

@@ -17,7 +17,9 @@ class Frame:
     def __init__(self, quarters: int) -> None:
         self.quarters = quarters % 4
 
-    def __str__(self) -> str:
+    @property
+    def told(self) -> str:
+        """Words that end a domain's description; none where nothing is turned."""
         return f", frame turned by {90 * self.quarters}°" if self.quarters else ""
 
     def stated(self, points: np.ndarray) -> np.ndarray:

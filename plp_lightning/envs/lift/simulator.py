@@ -76,10 +76,8 @@ class Lift(Simulator):
             ("gripper_qvel", fingers, f"{unit}/s"),
         )
         keys = tuple(ObservationKey(key, (size,), unit=unit) for key, size, unit in sizes)
-        env = (
-            f"robosuite Lift, {self.robot}, OSC position, fingers down, joint noise {self.joint_noise} rad{self.frame}"
-        )
-        return DomainSpec(name, keys, action_size=4, control_hz=20.0, env=env)
+        env = f"robosuite Lift, {self.robot}, OSC position, fingers down, joint noise {self.joint_noise} rad"
+        return DomainSpec(name, keys, action_size=4, control_hz=20.0, env=env + self.frame.told)
 
     def shared_position(self, state: np.ndarray) -> np.ndarray:
         """Position of the end effector in the world, ``(N, 3)``, m: both robots stand at the same table."""
