@@ -84,10 +84,8 @@ class HandoverPlan(Configured):
 
     def check(self, phases: Collection[str], val_fraction: float) -> None:
         """Refuse, by a :class:`ConfigError`, phases that the method has not, and a best epoch that nothing tells."""
-        for key, value in (("average_over", self.average_over), ("epoch", self.epoch)):
-            if unknown := [name for name in (value if isinstance(value, dict) else ()) if name not in phases]:
-                told = f"handover.{key} names phase {unknown[0]!r}"
-                raise ConfigError(f"{told}; expected some of: {', '.join(phases)}: rename it or leave it away")
+        _check_phases("handover.average_over", self.average_over, phases)
+        _check_phases("handover.epoch", self.epoch, phases)
         if val_fraction == 0 and any(self.of(name).epoch == "best" for name in phases):
             told = "handover.epoch is best, and data.val_fraction is 0"
             raise ConfigError(
@@ -100,10 +98,11 @@ class EvaluationPlan(Configured):
     """Amount and times of evaluation in the simulators.
 
     Args:
-        every_n_epochs: Epochs between two evaluations, by phase; 0 leaves it to the end. A phase that is not
-            named is evaluated whenever that takes under a tenth of the time trained since the last evaluation, and
-            at every tenth of its epochs, or every epoch of fewer than ten, as long as evaluations have taken under a
-            fifth of the time trained, or under 10 s: so a curve has ten points or more where they are cheap.
+        every_n_epochs: Epochs between two evaluations, of all phases or by phase; 0 leaves it to the end. A phase
+            that is not named is evaluated whenever that takes under a tenth of the time trained since the last
+            evaluation, and at every tenth of its epochs, or every epoch of fewer than ten, as long as evaluations have
+            taken under a fifth of the time trained, or under 10 s: so a curve has ten points or more where they are
+            cheap.
         episodes: Episodes of each trial in these.
         final_episodes: Episodes of each trial at the end of a phase.
         score_every_n_epochs: Epochs between two alignment scores.
@@ -115,7 +114,7 @@ class EvaluationPlan(Configured):
         metrics: Metrics of behaviour beside success, of every trial.
     """
 
-    every_n_epochs: dict[str, NonNegativeInt] = field(default_factory=dict)
+    every_n_epochs: NonNegativeInt | dict[str, NonNegativeInt] = field(default_factory=dict)
     episodes: PositiveInt = 20
     final_episodes: PositiveInt = 100
     score_every_n_epochs: NonNegativeInt = 5
@@ -125,3 +124,17 @@ class EvaluationPlan(Configured):
     reconstructions: NonNegativeInt = 8
     films: NonNegativeInt = 6
     metrics: list[BehaviourMetric] = field(default_factory=list)
+
+    def every(self, phase: str) -> int | None:
+        """Epochs between two evaluations of a phase; None: as often as they are cheap."""
+        return self.every_n_epochs.get(phase) if isinstance(self.every_n_epochs, dict) else self.every_n_epochs
+
+    def check(self, phases: Collection[str]) -> None:
+        """Refuse, by a :class:`ConfigError`, phases that the method has not."""
+        _check_phases("evaluation.every_n_epochs", self.every_n_epochs, phases)
+
+
+def _check_phases(key: str, value: object, phases: Collection[str]) -> None:
+    if unknown := [name for name in (value if isinstance(value, dict) else ()) if name not in phases]:
+        told = f"{key} names phase {unknown[0]!r}"
+        raise ConfigError(f"{told}; expected some of: {', '.join(phases)}: rename it or leave it away")

@@ -210,8 +210,7 @@ def _callbacks_of_all(experiment: Experiment, name: str, phase: Phase) -> list[C
     plan, simulators = experiment.evaluation, experiment.simulators
     found: list[Callback] = [*_handover(experiment.handover.of(name)), FreezeGuard(), FiniteGuard(), RandomState()]
     if phase.policy_acts and (settings := experiment.eval_settings_of(phase.policy)):
-        every = plan.every_n_epochs.get(name)
-        evaluation = simulators, settings, plan.episodes, every, experiment.seed, plan.metrics
+        evaluation = simulators, settings, plan.episodes, plan.every(name), experiment.seed, plan.metrics
         found.append(SimulatorEvaluation(*evaluation))
     if experiment.score is not None:
         found.append(AlignmentMetrics(experiment.score, experiment.data, simulators, plan.score_every_n_epochs))

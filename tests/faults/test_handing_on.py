@@ -38,6 +38,20 @@ def test_impossible_handovers_are_named(key: str, value: str, told: str, tmp_pat
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("{adaptatoin: 1}", "names phase 'adaptatoin'; expected some of: alignment, adaptation"),
+        ("{alignment: -1}", "evaluation.every_n_epochs"),
+        ("-1", "evaluation.every_n_epochs is -1; expected a whole number, at least 0"),
+        ("often", "evaluation.every_n_epochs is often; expected a whole number, at least 0"),
+    ],
+)
+def test_impossible_times_of_evaluations_are_named(value: str, told: str, tmp_path: Path) -> None:
+    assert told in complaint("fit", *tiny_smoke(tmp_path / "runs"), "--evaluation.every_n_epochs", value)
+    assert not (tmp_path / "runs").exists()
+
+
 @pytest.mark.parametrize("which", ["best", "{adaptation: best}"])
 def test_no_epoch_is_the_best_where_nothing_is_held_out(which: str, tmp_path: Path) -> None:
     words = [*tiny_smoke(tmp_path / "runs"), "--handover.epoch", which]
