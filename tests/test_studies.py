@@ -13,7 +13,7 @@ from command import ROOT, TINY, complaint, plp
 from test_configs import invent_demonstrations
 
 from plp_lightning.cli.config import parse
-from plp_lightning.cli.planning import find_word, plan, read_page
+from plp_lightning.cli.planning import choose, find_word, plan, read_page
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.runs.settings import differing_settings
@@ -38,7 +38,7 @@ def numbers(words: list[str]) -> tuple[str, str, Mapping[str, int]]:
 
 
 def test_sources_share_a_fixed_number_or_bring_as_many_each() -> None:
-    runs = plan(read_page(ROOT / "configs" / "sweeps" / "figure9.yaml"), [], "p2p_*/seed_0")
+    runs = choose(plan(read_page(ROOT / "configs" / "sweeps" / "figure9.yaml"), []), "p2p_*/seed_0")
     rows = [numbers(run.words[1:]) for run in runs]
     assert len(rows) == 7
     for name, method, found in rows:

@@ -77,28 +77,30 @@ def _parse_page(tree: Mapping[str, Any]) -> SweepPage:
     return page
 
 
-def plan(parts: Sequence[SweepPage], flags: Sequence[str], only: str = "*", name: str = "") -> list[PlannedRun]:
-    """All runs of a page whose name matches ``only``.
+def plan(parts: Sequence[SweepPage], flags: Sequence[str], name: str = "") -> list[PlannedRun]:
+    """All runs of a page.
 
     Args:
         parts: The page's parts.
         flags: Further words for every run.
-        only: Pattern of names as shells have them.
         name: The page's, which runs keep; they keep none if it is empty.
 
     Raises:
-        ConfigError: If the parser refuses one, two share a directory, none matches, or settings of one have changed
-            since it began.
+        ConfigError: If the parser refuses one, two share a directory, or settings of one have changed since it began.
     """
     _check_flags(flags)
     made_by = [f"--sweep={name}"] * bool(name)
     every = [(variant, page.root) for page in parts for variant in variants(page, find_word, flags)]
     runs = [run for variant, root in every for run in _runs(variant, [f"--run_root={root}", *made_by])]
     _check_directories(runs)
-    chosen = [run for run in runs if fnmatchcase(run.name, only)]
-    if not chosen:
-        raise ConfigError(f"--only {only!r} matches none of {len(runs)} runs, such as {runs[0].name!r}; change it")
-    return chosen
+    return runs
+
+
+def choose(runs: Sequence[PlannedRun], only: str) -> list[PlannedRun]:
+    """Runs whose name matches a pattern, as shells have them; a :class:`ConfigError` if none does."""
+    if chosen := [run for run in runs if fnmatchcase(run.name, only)]:
+        return chosen
+    raise ConfigError(f"--only {only!r} matches none of {len(runs)} runs, such as {runs[0].name!r}; change it")
 
 
 def find_word(kind: str, name: str) -> tuple[str, str]:
@@ -187,7 +189,8 @@ def _planned(
     if begun is not None:
         _check_same(name, path, tree)
     phases = list(experiment.method.phases)
-    return PlannedRun(name, words, path, phases, decided, experiment.data.path, *collection, begun is not None)
+    done = [] if begun is None else RunDirectory(path).done_phases()
+    return PlannedRun(name, words, path, phases, decided, experiment.data.path, *collection, begun is not None, done)
 
 
 def _decided(experiment: Experiment, tree: Mapping[str, Any], phase: str, reading: Sequence[str]) -> str:

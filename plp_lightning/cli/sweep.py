@@ -15,7 +15,7 @@ from filelock import FileLock, Timeout
 from datamodules.errors import ConfigError, UserError
 from plp_lightning.cli.config import find_page
 from plp_lightning.cli.options import OptionParser, not_negative, positive
-from plp_lightning.cli.planning import plan, read_page
+from plp_lightning.cli.planning import choose, plan, read_page
 from plp_lightning.sweeps.local import Engine, LocalEngine, places
 from plp_lightning.sweeps.manifest import Job, write_manifest
 from plp_lightning.sweeps.sharing import jobs_of
@@ -33,7 +33,8 @@ def run_sweep(arguments: Sequence[str]) -> None:
     if not parts[0].root:
         raise ConfigError("root is empty; expected a folder for run directories: name one or leave it away")
     root = Path(parts[0].root)
-    jobs = jobs_of(plan(parts, flags, options.only, page.stem), root)
+    runs = plan(parts, flags, page.stem)
+    jobs = jobs_of(choose(runs, options.only), root, runs)
     if options.dry_run:
         print(_counts(jobs))
     elif options.print:
@@ -72,9 +73,7 @@ def _counts(jobs: Sequence[Job]) -> str:
     lines += [
         f"{job.name}: {'complete' if job.state() == 'done' else 'first'}" for job in jobs if job.directory is None
     ]
-    for job in runs:
-        lines += [f"{job.name}: {phase} of {name}" for name, phase in job.after.items() if phase is not None]
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"{job.name}: {job.begins_with}" for job in runs if job.begins_with)])
 
 
 def _passed_on(words: Sequence[str]) -> dict[str, str | int]:

@@ -21,6 +21,7 @@ class Job:
     directory: str | None = None  # of the run; None for a collection
     after: dict[str, str | None] = field(default_factory=dict)
     """Jobs that have to be done before, by name; where a phase is named, that phase of the run is enough."""
+    begins_with: str = ""  # the last phase that it takes from another run, and whose
     done: bool = False  # when the manifest was written
 
     @property

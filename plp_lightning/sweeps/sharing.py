@@ -7,7 +7,7 @@ Example:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,18 +27,37 @@ class PlannedRun:
     collection: str  # hash of the demonstrations that it needs; empty if nobody can make any
     complete: bool  # the file has them
     independent: bool = False  # has begun, and trains all of its phases
+    done: Sequence[str] = ()  # phases that it is done with
 
 
-def jobs_of(runs: Sequence[PlannedRun], root: Path) -> list[Job]:
-    """Collections, then runs; each after what it waits for."""
+def jobs_of(runs: Sequence[PlannedRun], root: Path, known: Iterable[PlannedRun] = ()) -> list[Job]:
+    """Collections, then runs; each after what it waits for.
+
+    Args:
+        runs: Runs to do.
+        root: Folder of logs of collections.
+        known: Further runs. None of them becomes a job; phases that they are done with are taken from them, too.
+    """
     collections = list(_collections(runs, root))
     of_file = {run.file: [job.name for job, file in collections if file == run.file] for run in runs}
-    givers: dict[str, PlannedRun] = {}
-    for run in sorted(runs, key=lambda run: not run.independent):
-        for decided in run.decided:
-            givers.setdefault(decided, run)
-    shared = [_run(run, givers, of_file[run.file]) for run in runs]
+    givers = _givers(runs, known)
+    names = {run.name for run in runs}
+    shared = [_run(run, givers, of_file[run.file], names) for run in runs]
     return [job for job, _ in collections] + _ordered(shared)
+
+
+def _givers(runs: Sequence[PlannedRun], known: Iterable[PlannedRun]) -> dict[str, PlannedRun]:
+    """The run that trains a phase, by the hash of what decides it: one that has done so or begun before one to come."""
+    names, givers = {run.name for run in runs}, dict[str, PlannedRun]()
+    offers = [(decided, run) for run in runs if run.independent for decided in run.decided]
+    for run in known:
+        if run.name not in names:
+            pairs = zip(run.phases, run.decided, strict=True)
+            offers += [(decided, run) for phase, decided in pairs if phase in run.done]
+    offers += [(decided, run) for run in runs for decided in run.decided]
+    for decided, run in offers:
+        givers.setdefault(decided, run)
+    return givers
 
 
 def _collections(runs: Iterable[PlannedRun], root: Path) -> Iterator[tuple[Job, Path]]:
@@ -54,18 +73,19 @@ def _collections(runs: Iterable[PlannedRun], root: Path) -> Iterator[tuple[Job, 
             known[run.collection] = name
 
 
-def _run(run: PlannedRun, givers: dict[str, PlannedRun], collections: Sequence[str]) -> Job:
+def _run(run: PlannedRun, givers: dict[str, PlannedRun], collections: Sequence[str], names: Container[str]) -> Job:
     log = run.directory.with_name(f"{run.directory.name}.log")
     after: dict[str, str | None] = dict.fromkeys(collections)
-    words = run.words
+    words, begins_with = run.words, ""
     for phase, rest, decided in reversed([*zip(run.phases, _rests(run.phases), run.decided, strict=True)][:-1]):
         giver = givers[decided]
         if giver is run:
             continue
         words = [*words, "--phase", ",".join(rest), "--from", str(giver.directory)]
-        after[giver.name] = phase
+        begins_with = f"{phase} of {giver.name}"
+        after |= {giver.name: phase} if giver.name in names else {}
         break
-    return Job(run.name, words, str(log), str(run.directory), after)
+    return Job(run.name, words, str(log), str(run.directory), after, begins_with)
 
 
 def _rests(phases: Sequence[str]) -> list[list[str]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from plp_lightning.sweeps.manifest import Job, stages, unmet
@@ -10,13 +12,15 @@ from plp_lightning.sweeps.sharing import PlannedRun, jobs_of
 PHASES = ["alignment", "dynamics", "adaptation"]
 
 
-def run(name: str, *decided: str, file: str = "a.hdf5", needs: str = "all", begun: bool = False) -> PlannedRun:
+def run(
+    name: str, *decided: str, file: str = "a.hdf5", needs: str = "all", begun: bool = False, done: tuple[str, ...] = ()
+) -> PlannedRun:
     words = ["fit", f"--seed={name}"]
-    return PlannedRun(name, words, Path("runs") / name, PHASES, list(decided), Path(file), needs, False, begun)
+    return PlannedRun(name, words, Path("runs") / name, PHASES, list(decided), Path(file), needs, False, begun, done)
 
 
-def jobs(*runs: PlannedRun) -> dict[str, Job]:
-    return {job.name: job for job in jobs_of(runs, Path("runs"))}
+def jobs(*runs: PlannedRun, known: Sequence[PlannedRun] = ()) -> dict[str, Job]:
+    return {job.name: job for job in jobs_of(runs, Path("runs"), known)}
 
 
 def test_the_longest_common_way_is_taken_from_the_first_that_went_it() -> None:
@@ -37,6 +41,17 @@ def test_runs_that_have_begun_give_and_the_manifest_has_them_first() -> None:
     assert found["y"].words == ["fit", "--seed=y"]
     assert found["x"].words[-1] == "runs/y"
     assert [*found].index("y") < [*found].index("x")
+
+
+def test_what_a_run_beside_them_is_done_with_is_taken_from_it_and_not_waited_for() -> None:
+    ready = run("x", "1", "12", "123", begun=True, done=("alignment",))
+    found = jobs(run("y", "1", "12", "124"), known=[ready, run("w", "1", "12", "125")])
+    assert [*found] == ["collect a", "y"]
+    assert found["y"].words[2:] == ["--phase", "dynamics,adaptation", "--from", "runs/x"]
+    assert found["y"].begins_with == "alignment of x"
+    assert "x" not in found["y"].after
+    other = jobs(run("y", "1", "12", "124"), known=[replace(ready, done=())])
+    assert other["y"].words == ["fit", "--seed=y"]
 
 
 def test_each_need_of_a_file_is_collected_once_in_turn() -> None:
