@@ -40,7 +40,6 @@ def build(parser: ArgumentParser, config: Namespace, dropped: Sequence[str] = ()
     method = _method_name(made.method, made.recipe)
     check_names({"experiment": made.experiment, "method": method})
     made.handover.check(made.phases, made.data.val_fraction)
-    made.evaluation.check(made.phases)
     return Experiment(
         name=made.experiment,
         method=Method(method, made.policy, {name: made[name] for name in made.phases}),

@@ -98,11 +98,11 @@ class EvaluationPlan(Configured):
     """Amount and times of evaluation in the simulators.
 
     Args:
-        every_n_epochs: Epochs between two evaluations, of all phases or by phase; 0 leaves it to the end. A phase
-            that is not named is evaluated whenever that takes under a tenth of the time trained since the last
-            evaluation, and at every tenth of its epochs, or every epoch of fewer than ten, as long as evaluations have
-            taken under a fifth of the time trained, or under 10 s: so a curve has ten points or more where they are
-            cheap.
+        every_n_epochs: Epochs between two evaluations, of all phases or by phase; 0 leaves it to the end. Names of
+            phases that a method has not are passed over, as a page serves many methods. A phase that is not named is
+            evaluated whenever that takes under a tenth of the time trained since the last evaluation, and at every
+            tenth of its epochs, or every epoch of fewer than ten, as long as evaluations have taken under a fifth of
+            the time trained, or under 10 s: so a curve has ten points or more where they are cheap.
         episodes: Episodes of each trial in these.
         final_episodes: Episodes of each trial at the end of a phase.
         score_every_n_epochs: Epochs between two alignment scores.
@@ -128,10 +128,6 @@ class EvaluationPlan(Configured):
     def every(self, phase: str) -> int | None:
         """Epochs between two evaluations of a phase; None: as often as they are cheap."""
         return self.every_n_epochs.get(phase) if isinstance(self.every_n_epochs, dict) else self.every_n_epochs
-
-    def check(self, phases: Collection[str]) -> None:
-        """Refuse, by a :class:`ConfigError`, phases that the method has not."""
-        _check_phases("evaluation.every_n_epochs", self.every_n_epochs, phases)
 
 
 def _check_phases(key: str, value: object, phases: Collection[str]) -> None:

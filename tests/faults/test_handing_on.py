@@ -41,7 +41,6 @@ def test_impossible_handovers_are_named(key: str, value: str, told: str, tmp_pat
 @pytest.mark.parametrize(
     ("value", "told"),
     [
-        ("{adaptatoin: 1}", "names phase 'adaptatoin'; expected some of: alignment, adaptation"),
         ("{alignment: -1}", "evaluation.every_n_epochs"),
         ("-1", "evaluation.every_n_epochs is -1; expected a whole number, at least 0"),
         ("often", "evaluation.every_n_epochs is often; expected a whole number, at least 0"),
