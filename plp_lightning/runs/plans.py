@@ -3,11 +3,14 @@
 # No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 from datamodules.errors import ConfigError
 from datamodules.settings import Configured, NonNegativeFloat, NonNegativeInt, PositiveInt, Share
 from plp_lightning.evaluation.behaviour import BehaviourMetric
+
+T = TypeVar("T")
+D = TypeVar("D")
 
 
 @dataclass(frozen=True)
@@ -77,15 +80,14 @@ class HandoverPlan(Configured):
     def of(self, phase: str) -> Handover:
         """Settings of one phase."""
         over, epoch = self.average_over, self.epoch
-        return Handover(
-            over.get(phase, USUAL.average_over) if isinstance(over, dict) else over,
-            epoch.get(phase, USUAL.epoch) if isinstance(epoch, dict) else epoch,
-        )
+        return Handover(_of_phase(over, phase, USUAL.average_over), _of_phase(epoch, phase, USUAL.epoch))
 
     def check(self, phases: Collection[str], val_fraction: float) -> None:
         """Refuse, by a :class:`ConfigError`, phases that the method has not, and a best epoch that nothing tells."""
-        _check_phases("handover.average_over", self.average_over, phases)
-        _check_phases("handover.epoch", self.epoch, phases)
+        for key, value in (("average_over", self.average_over), ("epoch", self.epoch)):
+            if unknown := [name for name in (value if isinstance(value, dict) else ()) if name not in phases]:
+                told = f"handover.{key} names phase {unknown[0]!r}"
+                raise ConfigError(f"{told}; expected some of: {', '.join(phases)}: rename it or leave it away")
         if val_fraction == 0 and any(self.of(name).epoch == "best" for name in phases):
             told = "handover.epoch is best, and data.val_fraction is 0"
             raise ConfigError(
@@ -127,10 +129,9 @@ class EvaluationPlan(Configured):
 
     def every(self, phase: str) -> int | None:
         """Epochs between two evaluations of a phase; None: as often as they are cheap."""
-        return self.every_n_epochs.get(phase) if isinstance(self.every_n_epochs, dict) else self.every_n_epochs
+        return _of_phase(self.every_n_epochs, phase, None)
 
 
-def _check_phases(key: str, value: object, phases: Collection[str]) -> None:
-    if unknown := [name for name in (value if isinstance(value, dict) else ()) if name not in phases]:
-        told = f"{key} names phase {unknown[0]!r}"
-        raise ConfigError(f"{told}; expected some of: {', '.join(phases)}: rename it or leave it away")
+def _of_phase(setting: T | dict[str, T], phase: str, default: D) -> T | D:
+    """A phase's value of a setting that is one for all phases, or one by phase."""
+    return setting.get(phase, default) if isinstance(setting, dict) else setting

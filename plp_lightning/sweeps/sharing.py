@@ -40,20 +40,19 @@ def jobs_of(runs: Sequence[PlannedRun], root: Path, known: Iterable[PlannedRun] 
     """
     collections = list(_collections(runs, root))
     of_file = {run.file: [job.name for job, file in collections if file == run.file] for run in runs}
-    givers = _givers(runs, known)
     names = {run.name for run in runs}
+    givers = _givers(runs, [run for run in known if run.name not in names])
     shared = [_run(run, givers, of_file[run.file], names) for run in runs]
     return [job for job, _ in collections] + _ordered(shared)
 
 
 def _givers(runs: Sequence[PlannedRun], known: Iterable[PlannedRun]) -> dict[str, PlannedRun]:
     """The run that trains a phase, by the hash of what decides it: one that has done so or begun before one to come."""
-    names, givers = {run.name for run in runs}, dict[str, PlannedRun]()
+    givers: dict[str, PlannedRun] = {}
     offers = [(decided, run) for run in runs if run.independent for decided in run.decided]
     for run in known:
-        if run.name not in names:
-            pairs = zip(run.phases, run.decided, strict=True)
-            offers += [(decided, run) for phase, decided in pairs if phase in run.done]
+        pairs = zip(run.phases, run.decided, strict=True)
+        offers += [(decided, run) for phase, decided in pairs if phase in run.done]
     offers += [(decided, run) for run in runs for decided in run.decided]
     for decided, run in offers:
         givers.setdefault(decided, run)
