@@ -13,6 +13,7 @@ from datamodules.plain_yaml import dump_yaml, parse_yaml
 from plp_lightning.cli import planning
 from plp_lightning.cli.config import parse
 from plp_lightning.cli.planning import plan, read_page
+from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.sweeps.manifest import Job
 from plp_lightning.sweeps.page import variants
 from plp_lightning.sweeps.sharing import PlannedRun, jobs_of
@@ -118,6 +119,25 @@ def test_a_manifest_and_lines_for_a_shell(tmp_path: Path) -> None:
     assert "2 runs: 0 done, 0 begun, 2 to begin" in told
     assert "smoke/plp_few/goal_6/seed_0: alignment of smoke/plp_few/goal_3/seed_0" in told
     assert not (tmp_path / "my runs").exists()
+
+
+def test_phases_are_taken_from_a_run_that_only_leaves_away(tmp_path: Path) -> None:
+    giver = planned(tmp_path, **TARGETS, overrides={"few": SAME_PROXIES})[0]
+    run = RunDirectory.create(giver.directory, parse(giver.words[1:]).config, {})
+    words = [
+        "sweep",
+        "--config",
+        tmp_path / "page.yaml",
+        "--root",
+        tmp_path / "runs",
+        "--only",
+        "*/goal_6/*",
+        "--print",
+    ]
+    assert "--from" not in plp(*words).out
+    done = {"phases": {"alignment": {"state": "done", "checkpoint_sha256": "", "sha256": ""}}, "data_sha256": ""}
+    run.write_json("status.json", run.status() | done)
+    assert plp(*words).out.rstrip().endswith(f"--phase adaptation --from {giver.directory}")
 
 
 def test_a_job_that_has_begun_goes_on(tmp_path: Path) -> None:
