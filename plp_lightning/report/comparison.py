@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from statistics import fmean
 
-from plp_lightning.report.document import NOT_RUN, Cell, Section, Table, cell
+from plp_lightning.report.document import NOT_RUN, Cell, Section, Table, cell, row
 from plp_lightning.report.reference import Reference, ReferenceTable, Value
 from plp_lightning.report.summaries import Group
 from plp_lightning.report.tables import counted
@@ -14,6 +15,7 @@ from plp_lightning.report.words import NONE, disagreement, interval, spread, val
 HOUR = 3600.0  # s
 OURS = "ours"  # Runs with the settings of the experiment's page
 MADE_BY = ["sweep page", "commit"]
+SEVERAL = 3  # Runs, one for each target task, from which on a mean says something
 TEXT = (
     "In each cell: what was measured, its 95 % interval and number of runs. Hours of what was not run are those of "
     "runs of the same method on the same experiment, or else of any method on it."
@@ -24,7 +26,25 @@ def reference_tables(groups: Sequence[Group], compared: Reference) -> list[Secti
     """Its tables, from runs; none if no run is of its experiments."""
     if not {group.experiment for group in groups} & {*compared.values}:
         return []
-    return [_reference_table(groups, compared, table) for table in compared.tables]
+    tables = [_reference_table(groups, compared, table) for table in compared.tables]
+    return [_coverage(groups, compared), *tables] if tables else []
+
+
+def _coverage(groups: Sequence[Group], compared: Reference) -> Section:
+    """How many of its values have runs beside them, a row for each recipe."""
+    values = [(experiment, method) for experiment, methods in compared.values.items() for method in methods]
+    enough = sorted({1, SEVERAL, compared.runs or 1})
+    rows = []
+    for recipe in _recipes(compared):
+        runs = Counter[tuple[str, str]]()
+        for group in groups:
+            if group.recipe == recipe:
+                runs[group.experiment, group.plain_method] += sum(run.success is not None for run in group.records)
+        counts = [sum(runs[value] >= many for value in values) for many in enough]
+        rows.append(row(recipe or OURS, *map(str, counts)))
+    many = ["runs" if least == 1 else f"{least} runs or more" for least in enough]
+    title = f"What was run of {len(values)} values of {compared.name}"
+    return Section(title, ["Values that have so many runs beside them."], [Table(["by", *many], rows)])
 
 
 def _reference_table(groups: Sequence[Group], compared: Reference, table: ReferenceTable) -> Section:

@@ -28,6 +28,13 @@ def test_rows_have_the_paper_s_value_what_the_literal_recipe_came_to_and_ours() 
     assert f"| p2a_ood | plp | – | {unknown} | {unknown} |" in rows  # of which the paper has no value
 
 
+def test_values_with_runs_are_counted_by_recipe() -> None:
+    ours = [record(success=0.99, seed=seed) for seed in range(9)] + [record("bc", seed=seed) for seed in range(3)]
+    others = [record("plp_adapt_best"), record("bc", experiment="mine"), record("plp_t", success=None)]
+    rows = section("What was run of 92 values of the paper", *ours, *others, record("plp_literal", recipe="literal"))
+    assert rows == ["| literal | 1 | 0 | 0 |", "| ours | 2 | 2 | 1 |"]
+
+
 def test_hours_of_missing_runs_are_those_of_the_same_method_or_else_of_the_same_experiment() -> None:
     rows = section(TABLE_1, record(seconds=3600.0), record("bc", seconds=7200.0))
     hours = {row.split(" | ")[1]: re.findall(r"not run: ([\d.]+) h", row) for row in rows if row.startswith("| r2r")}
