@@ -52,6 +52,17 @@ def test_motors_by_hand():
     np.testing.assert_array_equal(torques, [[7, 8, 1, 2, 3, -4, 5, -6]])
 
 
+@pytest.mark.parametrize("legs", [4, 6])
+def test_torques_are_the_same_bit_for_bit_whoever_walks_beside_it(legs):
+    gait, rng = Gait.load(gait_path(legs)), np.random.default_rng(0)
+    states = rng.normal(size=(40, 13 + 4 * legs)).astype(np.float32)
+    directions = np.concatenate([heading(angle) for angle in rng.uniform(-np.pi, np.pi, 40)])
+    together = gait.act(states, directions)
+    for many in (1, 2, 3, 7, 40):
+        parts = [gait.act(states[i : i + many], directions[i : i + many]) for i in range(0, 40, many)]
+        np.testing.assert_array_equal(np.concatenate(parts), together)
+
+
 def test_position_does_not_matter():
     states = np.random.default_rng(0).normal(size=(2, 37))
     states[1, 2:] = states[0, 2:]
