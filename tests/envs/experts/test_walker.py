@@ -7,11 +7,14 @@ import pytest
 from safetensors.numpy import save_file
 
 from datamodules.errors import CheckpointError, ConfigError
+from plp_lightning.envs.base import Domain
 from plp_lightning.envs.experts.gait import Gait, Symmetry, gait_path, provenance
 from plp_lightning.envs.experts.waypoint import WalkerExpert
 from plp_lightning.envs.maze.physics import MazePhysics
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 from plp_lightning.envs.maze.walker_model import walker_mjcf
+from plp_lightning.runs import collection
+from plp_lightning.runs.plans import CollectionConfig
 
 
 def heading(angle: float) -> np.ndarray:
@@ -61,6 +64,17 @@ def test_torques_are_the_same_bit_for_bit_whoever_walks_beside_it(legs):
     for many in (1, 2, 3, 7, 40):
         parts = [gait.act(states[i : i + many], directions[i : i + many]) for i in range(0, 40, many)]
         np.testing.assert_array_equal(np.concatenate(parts), together)
+
+
+def test_demonstrations_are_the_same_however_many_are_wanted():
+    collection._begin_process({"ant": Domain(WalkerMaze("umaze"), WalkerExpert())}, 1)
+    jobs = [collection.Job("ant", "s1_g_1_2", count, frozenset()) for count in (2, 24)]
+    few, many = ([t for wave in collection.demonstrate(job, CollectionConfig(noise=0.2)) for t in wave] for job in jobs)
+    assert len(few) == 2
+    for one, other in zip(few, many, strict=False):
+        assert one.seed == other.seed
+        np.testing.assert_array_equal(one.observation.state, other.observation.state)
+        np.testing.assert_array_equal(one.actions, other.actions)
 
 
 def test_position_does_not_matter():
