@@ -31,16 +31,14 @@ def reference_tables(groups: Sequence[Group], compared: Reference) -> list[Secti
 
 
 def _coverage(groups: Sequence[Group], compared: Reference) -> Section:
-    """How many of its values have runs beside them, a row for each recipe."""
+    """Count the values that have runs beside them, a row for each recipe."""
     values = [(experiment, method) for experiment, methods in compared.values.items() for method in methods]
     enough = sorted({1, SEVERAL, compared.runs or 1})
+    tested = [(group, run) for group in groups for run in group.records if run.success is not None]
+    runs = Counter((group.recipe, group.experiment, group.plain_method) for group, _ in tested)
     rows = []
     for recipe in _recipes(compared):
-        runs = Counter[tuple[str, str]]()
-        for group in groups:
-            if group.recipe == recipe:
-                runs[group.experiment, group.plain_method] += sum(run.success is not None for run in group.records)
-        counts = [sum(runs[value] >= many for value in values) for many in enough]
+        counts = [sum(runs[recipe, e, method] >= many for e, method in values) for many in enough]
         rows.append(row(recipe or OURS, *map(str, counts)))
     many = ["runs" if least == 1 else f"{least} runs or more" for least in enough]
     title = f"What was run of {len(values)} values of {compared.name}"

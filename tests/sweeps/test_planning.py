@@ -124,16 +124,8 @@ def test_a_manifest_and_lines_for_a_shell(tmp_path: Path) -> None:
 def test_phases_are_taken_from_a_run_that_only_leaves_away(tmp_path: Path) -> None:
     giver = planned(tmp_path, **TARGETS, overrides={"few": SAME_PROXIES})[0]
     run = RunDirectory.create(giver.directory, parse(giver.words[1:]).config, {})
-    words = [
-        "sweep",
-        "--config",
-        tmp_path / "page.yaml",
-        "--root",
-        tmp_path / "runs",
-        "--only",
-        "*/goal_6/*",
-        "--print",
-    ]
+    page, root = tmp_path / "page.yaml", tmp_path / "runs"
+    words = ["sweep", "--config", page, "--root", root, "--only", "*/goal_6/*", "--print"]
     assert "--from" not in plp(*words).out
     done = {"phases": {"alignment": {"state": "done", "checkpoint_sha256": "", "sha256": ""}}, "data_sha256": ""}
     run.write_json("status.json", run.status() | done)
