@@ -83,7 +83,7 @@ class Expert(Configured, ABC):
 
     @abstractmethod
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:
-        """Actions ``(n, A)`` in [-1, 1] for the episodes ``(n,)`` given; each bit for bit the same whoever is beside it."""
+        """Actions ``(n, A)`` in [-1, 1] of the episodes ``(n,)`` given, each bit for bit as if it were alone."""
 
 
 @dataclass
