@@ -7,6 +7,7 @@ import hashlib
 import io
 import os
 import random
+import warnings
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -23,6 +24,7 @@ from datamodules.store.atomic import locked_folder, replacing
 
 HASH = "content_sha256"
 LAST = "last.ckpt"
+PLAIN = bool | int | float | complex | str | bytes | torch.dtype | torch.device | None
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
@@ -37,7 +39,8 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         """Write ``checkpoint`` to ``path`` in one visible step.
 
         Raises:
-            CheckpointError: If it cannot be written, to a full disk for instance; an older one stays.
+            CheckpointError: If it cannot be written, to a full disk for instance, or holds something that
+                :func:`read_checkpoint` would refuse; an older one stays.
         """
         final, content = Path(path), io.BytesIO()
         # torch's own writer hides why a disk refuses.
@@ -75,9 +78,16 @@ def _keep(last: Path) -> None:
 
 
 def content_hash(value: Any) -> str:
-    """SHA-256 of plain data: tensors, by dtype, shape and bytes, and all else as Python writes it down."""
+    """SHA-256 of plain data: tensors, by dtype, shape and bytes, and all else as Python writes it down.
+
+    Raises:
+        CheckpointError: If there is something else in it, or it holds itself. A damaged file may load as either.
+    """
     digest = hashlib.sha256()
-    _feed(digest.update, value)
+    try:
+        _feed(digest.update, value)
+    except RecursionError:
+        raise CheckpointError("something in it holds itself; expected tensors and plain data") from None
     return digest.hexdigest()
 
 
@@ -95,8 +105,12 @@ def _feed(update: Callable[[bytes | memoryview], None], value: Any) -> None:
         update(f"{'list' if isinstance(value, list) else 'tuple'} {len(value)};".encode())
         for item in value:
             _feed(update, item)
-    else:
+    elif isinstance(value, set | frozenset):  # in no order of its own from one process to the next
+        _feed(update, ("set", sorted(map(content_hash, value))))
+    elif isinstance(value, PLAIN):
         update(f"{value!r};".encode())
+    else:
+        raise CheckpointError(f"there is a {type(value).__name__} in it; expected tensors and plain data")
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -109,7 +123,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint; name a run directory with checkpoints/last.ckpt in a phase")
     try:
-        checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of torch, on what it is about to refuse
+            checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a damaged or hostile file
         reason = str(error).replace("\n", " ").split(". ")[0][:160]
         raise CheckpointError(f"{path}: not a plain checkpoint ({reason}); use one written by plp fit") from None
