@@ -116,7 +116,9 @@ class RunDirectory:
         return self.checkpoint(phase, which) if which else self.handed_on(phase)
 
     def status(self) -> dict[str, Any]:
-        """State of the run and of each of its phases; a :class:`ConfigError` says if the file is damaged."""
+        """State of the run and of each of its phases; a :class:`ConfigError` says if the file is damaged or lost."""
+        if not (self.path / "status.json").exists() and any(self.path.glob("*/checkpoints/*.ckpt")):
+            raise ConfigError(f"{self.path / 'status.json'}: is missing, though there are checkpoints; {REMEDY}")
         status = {"state": "new", "phases": {}, **self.read_json("status.json")}
         check_status(status, self.path / "status.json")
         return status

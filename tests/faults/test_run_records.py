@@ -49,6 +49,14 @@ def _change(run: RunDirectory, status: Mapping[str, Any], phases: Mapping[str, A
     file.write_text(json.dumps({**content, "phases": merged, **status}))
 
 
+@pytest.mark.parametrize("verb", ["fit", "test", "validate", "predict", "export"])
+def test_a_status_that_is_lost_is_missed_and_not_begun_anew(verb: str, done: RunDirectory) -> None:
+    (done.path / "status.json").unlink()
+    told = complaint(verb, *(["--resume"] if verb == "fit" else []), done.path)
+    assert "status.json: is missing, though there are checkpoints; restore it" in told
+    assert not (done.path / "status.json").exists()
+
+
 @pytest.mark.parametrize(
     "status",
     [
