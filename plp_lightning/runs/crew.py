@@ -37,7 +37,7 @@ class RankLostError(UserError):
     """A rank of a run has ended before the run was over."""
 
 
-class Job(NamedTuple):
+class NextPhase(NamedTuple):
     """A phase that all ranks train."""
 
     run: Path
@@ -49,7 +49,7 @@ class Job(NamedTuple):
         return json.dumps([None if part is None else str(part) for part in self])
 
     @classmethod
-    def from_json(cls, text: str) -> Job:
+    def from_json(cls, text: str) -> NextPhase:
         """Inverse of :meth:`to_json`."""
         run, phase, weights = json.loads(text)
         return cls(Path(run), phase, None if weights is None else Path(weights))
@@ -91,11 +91,11 @@ class Crew:
             self._wait_for(HERE, STARTING)
         return self
 
-    def tell(self, job: Job) -> None:
+    def tell(self, phase: NextPhase) -> None:
         """Let all other ranks train a phase along with this one, which is to begin at once."""
         if self.count > 1:
             self._gather()
-            self._say(job.to_json())
+            self._say(phase.to_json())
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         self.over = True
@@ -222,11 +222,11 @@ class Member:
         self.store.add(HERE, 1)
         meet(self.store, own.rank, own.total)
 
-    def jobs(self) -> Iterator[Job]:
+    def phases(self) -> Iterator[NextPhase]:
         """Phases to train, when rank 0 tells of them, until it says that all are done."""
         number = 0
         while text := self._heard(number):
-            yield Job.from_json(text)
+            yield NextPhase.from_json(text)
             number += 1
         self.store.add(GONE, 1)
 

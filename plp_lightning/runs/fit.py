@@ -17,7 +17,7 @@ from plp_lightning.methods.policy import Policy
 from plp_lightning.pictures.episodes import EpisodePictures
 from plp_lightning.runs.before import note_before
 from plp_lightning.runs.board import Progress, log_end
-from plp_lightning.runs.crew import Crew, Job
+from plp_lightning.runs.crew import Crew, NextPhase
 from plp_lightning.runs.demonstrations import prepare_demonstrations
 from plp_lightning.runs.devices import device_name, on_device
 from plp_lightning.runs.directory import RunDirectory
@@ -62,7 +62,7 @@ def fit(
 def _run_phase(experiment: Experiment, run: RunDirectory, name: str, weights: Path | None, crew: Crew) -> None:
     """Train one phase from ``weights``, or from its own last checkpoint if it was interrupted, and evaluate it."""
     resumed = resumption(run, name)
-    crew.tell(Job(run.path, name, weights))
+    crew.tell(NextPhase(run.path, name, weights))
     stopwatch = Stopwatch(run, name)
     run.update_status("running", name, {"state": "running"})
     with stopwatch.running():

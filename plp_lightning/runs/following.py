@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from datamodules.errors import UserError
 from plp_lightning.placement import Place
-from plp_lightning.runs.crew import Job, Member, from_others
+from plp_lightning.runs.crew import Member, NextPhase, from_others
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.runs.fit import prepare_phase, train
@@ -41,10 +41,10 @@ def _followed(experiment: Experiment, own: Place) -> int:
     member = None
     try:
         member = Member(own)
-        for job in member.jobs():
+        for told in member.phases():
             for number in LEAVING:
                 signal.signal(number, signal.SIG_IGN)
-            _follow(experiment, job)
+            _follow(experiment, told)
     except UserError as error:
         assert member is not None
         member.complain(str(error))
@@ -59,8 +59,8 @@ def _followed(experiment: Experiment, own: Place) -> int:
     return 0
 
 
-def _follow(experiment: Experiment, job: Job) -> None:
-    run = RunDirectory(job.run)
-    phase = prepare_phase(experiment, job.phase, job.weights)
-    resumed = resumption(run, job.phase)
-    train(joining_trainer(experiment, run, job.phase, phase, resumed), experiment, phase, resumed)
+def _follow(experiment: Experiment, told: NextPhase) -> None:
+    run = RunDirectory(told.run)
+    phase = prepare_phase(experiment, told.phase, told.weights)
+    resumed = resumption(run, told.phase)
+    train(joining_trainer(experiment, run, told.phase, phase, resumed), experiment, phase, resumed)
