@@ -43,8 +43,11 @@ class AtomicCheckpointIO(TorchCheckpointIO):
                 :func:`read_checkpoint` would refuse; an older one stays.
         """
         final, content = Path(path), io.BytesIO()
-        # torch's own writer hides why a disk refuses.
-        torch.save({**checkpoint, HASH: content_hash(checkpoint)}, content)
+        try:
+            own = content_hash(checkpoint)
+        except CheckpointError as error:
+            raise CheckpointError(f"{final}: can't be written: {error}; save no such state in callbacks") from None
+        torch.save({**checkpoint, HASH: own}, content)  # torch's own writer to disk hides why a disk refuses
         try:
             final.parent.mkdir(parents=True, exist_ok=True)
             with locked_folder(final.parent), replacing(final) as temporary:

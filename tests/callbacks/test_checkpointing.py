@@ -27,9 +27,8 @@ class Payload:
         return os.mkdir, (str(self.path),)
 
 
-class Unpicklable:
-    def __reduce__(self) -> tuple[Any, ...]:
-        raise OSError("no space left")
+def fails(*_: Any) -> None:
+    raise OSError("no space left")
 
 
 def refusal(path: Path) -> str:
@@ -49,12 +48,15 @@ def test_what_is_saved_is_what_is_read(tmp_path: Path) -> None:
     assert [file.name for file in (tmp_path / "new").iterdir()] == ["last.ckpt"]
 
 
-def test_a_failed_save_leaves_the_old_checkpoint_and_no_litter(tmp_path: Path) -> None:
+def test_a_failed_save_leaves_the_old_checkpoint_and_no_litter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "last.ckpt"
     AtomicCheckpointIO().save_checkpoint(PLAIN, path)
     before = path.read_bytes()
+    with pytest.raises(CheckpointError, match=r"last\.ckpt: can't be written: there is a Payload in it"):
+        AtomicCheckpointIO().save_checkpoint({**PLAIN, "bad": Payload(tmp_path / "made")}, path)
+    monkeypatch.setattr(torch, "save", fails)
     with pytest.raises(OSError, match="no space left"):
-        AtomicCheckpointIO().save_checkpoint({**PLAIN, "bad": Unpicklable()}, path)
+        AtomicCheckpointIO().save_checkpoint(PLAIN, path)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
