@@ -111,7 +111,7 @@ class Configured:
 
     arguments: dict[str, Any]  # By name, defaults included; those of the outermost class that was built
     beginnings: ClassVar[tuple[str, ...]] = ()
-    """Arguments that say with which weights an object begins: a checkpoint has the weights, so no recipe tells them."""
+    """Arguments that say with which weights an object begins; blueprints leave them out: checkpoints hold weights."""
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Look at the arguments before the constructor does, so that no class has to hand them on."""
@@ -187,7 +187,7 @@ def _check_number(place: str, bound: Any, value: Any) -> None:
         raise ConfigError(f"{place} is {error}; change it") from None
 
 
-def recipe(made: Configured, leaving_out: Sequence[str] = ()) -> dict[str, Any]:
+def blueprint(made: Configured, leaving_out: Sequence[str] = ()) -> dict[str, Any]:
     """Tell how to build an object again, as plain lists, strings and numbers: ``{class_path, init_args}``.
 
     Arguments in ``leaving_out`` are not told: the caller of :func:`build` gives them.
@@ -199,7 +199,7 @@ def recipe(made: Configured, leaving_out: Sequence[str] = ()) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Configured):
-        return recipe(value)
+        return blueprint(value)
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -208,16 +208,16 @@ def _plain(value: Any) -> Any:
 
 
 def build(made_by: Mapping[str, Any], kind: type[T], allowed: Sequence[str], *first: Any) -> T:
-    """Build the object that :func:`recipe` tells of.
+    """Build the object that :func:`blueprint` tells of.
 
     Args:
-        made_by: A recipe, from a checkpoint for instance.
+        made_by: A blueprint, from a checkpoint for instance.
         kind: Class that the object has to be of.
         allowed: Packages that may be imported for it; nothing else is.
-        first: Arguments that the recipe leaves out, which come first.
+        first: Arguments that the blueprint leaves out, which come first.
 
     Raises:
-        ConfigError: If the recipe names something else than a class of that kind in an allowed package.
+        ConfigError: If the blueprint names something else than a class of that kind in an allowed package.
     """
     path = str(made_by["class_path"])
     module, _, name = path.rpartition(".")

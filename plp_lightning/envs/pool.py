@@ -36,7 +36,7 @@ class Share(Protocol):
         """Take a step with actions ``(n, A)`` in the episodes ``(n,)``."""
 
 
-class Recipe(Protocol):
+class ShareFactory(Protocol):
     """All that it takes to make a share; plain data, for other processes."""
 
     def share(self) -> Share:
@@ -70,14 +70,14 @@ class Pool:
     A process that only asked and waited would drive those that step from core to core, away from what they have cached.
 
     Args:
-        recipe: Makes the shares.
+        factory: Makes the shares.
         count: Their number n.
     """
 
-    def __init__(self, recipe: Recipe, count: int) -> None:
-        others = [_begun(recipe) for _ in range(1, count)]
+    def __init__(self, factory: ShareFactory, count: int) -> None:
+        others = [_begun(factory) for _ in range(1, count)]
         weakref.finalize(self, _close, others)
-        self.count, self.share, self.others = count, _Served(recipe.share()), others
+        self.count, self.share, self.others = count, _Served(factory.share()), others
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
         """Begin E episodes; gives their first observations ``(E, …)``."""
@@ -172,10 +172,10 @@ def _joined(parts: Mapping[int, np.ndarray], rows: Mapping[int, np.ndarray]) -> 
     return whole
 
 
-def _begun(recipe: Recipe) -> Connection:
+def _begun(factory: ShareFactory) -> Connection:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
-    context.Process(target=_serve, args=(there, recipe), daemon=True).start()
+    context.Process(target=_serve, args=(there, factory), daemon=True).start()
     there.close()
     return here
 
@@ -193,11 +193,11 @@ def _heard(line: Connection) -> Any:
     return None if told == _BELL else pickle.loads(told)
 
 
-def _serve(line: Connection, recipe: Recipe) -> None:
+def _serve(line: Connection, factory: ShareFactory) -> None:
     """Do what is asked for until the other end is closed, in a process of its own."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # the parent hears them
-    served = _Served(recipe.share())
+    served = _Served(factory.share())
     with contextlib.suppress(EOFError, OSError):
         while True:
             message = line.recv_bytes()

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from datamodules.batches.dataset import DomainDataset
 from datamodules.errors import ConfigError
-from datamodules.settings import Configured, recipe
+from datamodules.settings import Configured, blueprint
 from datamodules.types import Batch, BatchSpec, Observation, Steps
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.optimization import OptimizerFactory, PhaseSchedule, SchedulerFactory, let_clip
@@ -132,8 +132,8 @@ class Phase(Configured, LightningModule, Generic[P]):
             self.log(f"train/{name}", value.detach(), batch_size=batch_size)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Adds a recipe of the policy that needs no configuration: plain lists, strings and numbers."""
-        checkpoint["policy"] = {"problem": self.policy.problem.to_dict(), **recipe(self.policy, ["problem"])}
+        """Adds a blueprint of the policy that needs no configuration: plain lists, strings and numbers."""
+        checkpoint["policy"] = {"problem": self.policy.problem.to_dict(), **blueprint(self.policy, ["problem"])}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Brings checkpoints of earlier versions up to date."""

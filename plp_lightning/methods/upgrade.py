@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from datamodules.settings import recipe
+from datamodules.settings import blueprint
 from plp_lightning.networks import ImageEncoding
 
 PREFIXES = {
@@ -55,18 +55,18 @@ def _moved(name: str, prefixes: dict[str, str]) -> str:
     return prefixes.get(found, "") + name.removeprefix(found)
 
 
-def upgrade_recipe(class_path: str, architecture: Mapping[str, Any]) -> dict[str, Any]:
-    """Recipe of a policy that an earlier version saved with this class and these settings."""
+def upgrade_blueprint(class_path: str, architecture: Mapping[str, Any]) -> dict[str, Any]:
+    """Blueprint of a policy that an earlier version saved with this class and these settings."""
     short = class_path.rpartition(".")[2].replace("FlatPolicy", "BCPolicy")
     settings = {name: value for name, value in architecture.items() if name != "clip"}
     if "image_features" in settings:  # the others keep their image_channels
         sizes = tuple(settings.pop("image_channels")), settings.pop("image_features")
-        settings["image_encoder"] = recipe(ImageEncoding(*sizes))
+        settings["image_encoder"] = blueprint(ImageEncoding(*sizes))
     return with_todays_settings({"class_path": f"plp_lightning.methods.{short}", "init_args": settings})
 
 
 def with_todays_settings(policy: Mapping[str, Any]) -> dict[str, Any]:
-    """The recipe of a policy with today's names of its settings."""
+    """The blueprint of a policy with today's names of its settings."""
     names = SETTINGS.get(str(policy["class_path"]).rpartition(".")[2], {})
     said = policy.get("init_args", {})
     return {**policy, "init_args": {names.get(name, name): value for name, value in said.items()}}

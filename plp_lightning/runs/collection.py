@@ -53,16 +53,16 @@ class Job:
 class ExpertCollector:
     """Fills a trajectory file with demonstrations by the domains' experts; only successes are kept.
 
-    Which demonstrations result depends on the recipe alone, not on how many processes made them or how often they were
-    interrupted. Whatever ends the collection, what came in more than KEPT_SECONDS ago is kept.
+    Which demonstrations result depends on settings and seeds alone, not on how many processes made them or how often
+    they were interrupted. Whatever ends the collection, what came in more than KEPT_SECONDS ago is kept.
 
     Args:
         domains: Simulators and experts by domain.
-        recipe: Recipe of demonstrations.
+        collection: How demonstrations are made.
     """
 
-    def __init__(self, domains: Mapping[str, Domain], recipe: CollectionConfig) -> None:
-        self.domains, self.recipe = domains, recipe
+    def __init__(self, domains: Mapping[str, Domain], collection: CollectionConfig) -> None:
+        self.domains, self.collection = domains, collection
 
     def __call__(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> None:
         """Add ``missing[domain][task]`` demonstrations to the file at ``path``; if interrupted, those made so far."""
@@ -106,7 +106,7 @@ class ExpertCollector:
         return self.domains[domain].expert is not None
 
     def check(self, path: Path) -> None:
-        """Refuse a file whose demonstrations another recipe or expert made: who changes a setting means its effect.
+        """Refuse a file that other settings or another expert filled: who changes a setting means its effect.
 
         Demonstrations that were imported are taken as they are.
         """
@@ -114,8 +114,8 @@ class ExpertCollector:
         from plp_lightning.runs.specs import check_file
 
         check_file(path, [domain.world.spec(name) for name, domain in self.domains.items()])
-        for recipe, experts in self._records(path):
-            for name, (found, wanted) in self.recipe.differences(recipe).items():
+        for made_by, experts in self._records(path):
+            for name, (found, wanted) in self.collection.differences(made_by).items():
                 _refuse(path, f"--collection.{name}", found, wanted)
             for name in self.domains.keys() & experts.keys():
                 if (expert := self.domains[name].expert) and experts[name] != "NoneType":
@@ -123,13 +123,13 @@ class ExpertCollector:
                         _refuse(path, f"--domains.{name}.expert{setting}", found, wanted)
 
     def _records(self, path: Path) -> Iterator[tuple[Mapping[str, object], Mapping[str, object]]]:
-        """Recipes and experts that made the file's demonstrations of these domains."""
+        """Settings and experts that made the file's demonstrations of these domains."""
         with TrajectoryFile.open(path) as file:
             records = [file.provenance, *file.provenance.get("earlier", [])]
         for record in records:
             match record:
-                case {"experts": dict(experts), "recipe": dict(recipe)} if self.domains.keys() & experts.keys():
-                    yield recipe, experts
+                case {"experts": dict(experts), "recipe": dict(made_by)} if self.domains.keys() & experts.keys():
+                    yield made_by, experts
 
     def _jobs(self, path: Path, missing: Mapping[str, Mapping[str, int]]) -> list[Job]:
         known: dict[tuple[str, str], frozenset[int]] = {}
@@ -144,8 +144,8 @@ class ExpertCollector:
     def _collect(self, jobs: list[Job]) -> Iterator[list[Trajectory]]:
         """Demonstrations as they are made; an empty list now and then, while none come."""
         cores = available_cores()
-        total, processes = sum(job.count for job in jobs), min(self.recipe.processes or cores, len(jobs))
-        work = partial(_work, self.domains, max(1, cores // processes), self.recipe)
+        total, processes = sum(job.count for job in jobs), min(self.collection.processes or cores, len(jobs))
+        work = partial(_work, self.domains, max(1, cores // processes), self.collection)
         with (
             JobProgress("collecting", total, "demonstrations") as progress,
             Workers[Job, list[Trajectory]](processes, work) as workers,
@@ -163,7 +163,7 @@ class ExpertCollector:
             name: expert_record(domain.expert) for name, domain in self.domains.items() if domain.expert is not None
         }
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        return {"command": command, "recipe": asdict(self.recipe), "experts": experts, "versions": versions()}
+        return {"command": command, "recipe": asdict(self.collection), "experts": experts, "versions": versions()}
 
 
 def _refuse(path: Path, setting: str, found: object, wanted: object) -> NoReturn:
@@ -180,11 +180,11 @@ def _bytes(made: Trajectory) -> int:
 
 
 def _work(
-    domains: Mapping[str, Domain], threads: int, recipe: CollectionConfig, job: Job
+    domains: Mapping[str, Domain], threads: int, collection: CollectionConfig, job: Job
 ) -> Iterator[list[Trajectory]]:
     if _domains is not domains:
         _begin_process(domains, threads)
-    return demonstrate(job, recipe)
+    return demonstrate(job, collection)
 
 
 def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
@@ -194,36 +194,36 @@ def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
         domain.world.threads = threads
 
 
-def demonstrate(job: Job, recipe: CollectionConfig) -> Iterator[list[Trajectory]]:
+def demonstrate(job: Job, collection: CollectionConfig) -> Iterator[list[Trajectory]]:
     """The first ``job.count`` successes among the attempts, in their order: ``(T + 1, O)`` states, ``(T, A)`` actions.
 
     They come in waves, as they are made.
 
     Raises:
-        UserError: If the expert fails so often that ``recipe.attempts`` times the wanted number don't suffice.
+        UserError: If the expert fails so often that ``collection.attempts`` times the wanted number don't suffice.
     """
     made = attempts = 0
-    seeds = (episode_seed("collect", recipe.seed, job.domain, job.task, i) for i in itertools.count())
+    seeds = (episode_seed("collect", collection.seed, job.domain, job.task, i) for i in itertools.count())
     unknown = (seed for seed in seeds if seed not in job.known_seeds)
     while made < job.count:
         # Failures of the attempts that led to the known ones are repeated, so they count too.
-        if attempts >= recipe.attempts * (job.count + len(job.known_seeds)) + 10:
+        if attempts >= collection.attempts * (job.count + len(job.known_seeds)) + 10:
             found = f"expert of domain {job.domain!r} solved task {job.task!r} {made} times in {attempts} attempts"
             remedy = "mend the expert or raise --collection.attempts"
             raise UserError(f"{found}; {job.count} demonstrations were asked for; {remedy}")
         wave = list(itertools.islice(unknown, min(WAVE, max(4, job.count - made))))
-        solved = _attempt(job, wave, recipe)[: job.count - made]
+        solved = _attempt(job, wave, collection)[: job.count - made]
         made, attempts = made + len(solved), attempts + len(wave)
         if solved:
             yield solved
 
 
-def _attempt(job: Job, seeds: list[int], recipe: CollectionConfig) -> list[Trajectory]:
+def _attempt(job: Job, seeds: list[int], collection: CollectionConfig) -> list[Trajectory]:
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
-    demonstrator = Demonstrator(domain, recipe.noise, recipe.random_start_steps)
-    episodes = rollout(domain.world, demonstrator.act, tasks, seeds, recipe.hold_steps, [demonstrator])
-    solved = np.flatnonzero(episodes.success & (episodes.steps > recipe.random_start_steps))
+    demonstrator = Demonstrator(domain, collection.noise, collection.random_start_steps)
+    episodes = rollout(domain.world, demonstrator.act, tasks, seeds, collection.hold_steps, [demonstrator])
+    solved = np.flatnonzero(episodes.success & (episodes.steps > collection.random_start_steps))
     return [_trajectory(job, demonstrator, int(i)) for i in solved]
 
 

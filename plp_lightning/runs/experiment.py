@@ -78,8 +78,8 @@ class Experiment:
     def reenactment(self) -> Reenactment:
         """Draws what demonstrations show, as they were collected."""
         collector = self.data.collector
-        recipe = collector.recipe if isinstance(collector, ExpertCollector) else CollectionConfig()
-        return Reenactment(self.simulators, recipe.noise, recipe.random_start_steps)
+        collection = collector.collection if isinstance(collector, ExpertCollector) else CollectionConfig()
+        return Reenactment(self.simulators, collection.noise, collection.random_start_steps)
 
     @property
     def eval_settings(self) -> dict[str, EvalSetting]:

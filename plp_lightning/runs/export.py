@@ -17,14 +17,14 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 
 from datamodules.errors import CheckpointError, ConfigError
-from datamodules.settings import recipe
+from datamodules.settings import blueprint
 from datamodules.store.atomic import locked_folder, replacing, write_atomically
 from plp_lightning.callbacks.checkpointing import HASH, content_hash
 from plp_lightning.runs.records import bytes_hash
 from plp_lightning.runs.robot_policy import RobotPolicy
 
 CARD_VERSION = 1
-POLICY = "policy"  # Key of the policy's recipe in the metadata of a safetensors file
+POLICY = "policy"  # Key of the policy's blueprint in the metadata of a safetensors file
 
 
 def export(robot: RobotPolicy, kind: str, path: Path, provenance: Mapping[str, Any]) -> None:
@@ -113,7 +113,7 @@ def _quiet() -> Iterator[None]:
 
 def _safetensors(robot: RobotPolicy) -> bytes:
     policy = robot.policy
-    told = {"problem": policy.problem.to_dict(), **recipe(policy, ["problem"])}
+    told = {"problem": policy.problem.to_dict(), **blueprint(policy, ["problem"])}
     tensors = {name: value.contiguous().clone() for name, value in sorted(policy.state_dict().items())}
     return save_tensors(tensors, metadata={POLICY: json.dumps(told), HASH: content_hash({POLICY: told, **tensors})})
 
@@ -124,7 +124,7 @@ SUFFIXES = {"onnx": ".onnx", "torch": ".pt2", "safetensors": ".safetensors"}
 
 
 def read_safetensors(path: Path) -> dict[str, Any]:
-    """Read an exported policy: its recipe, ``policy``, and its weights, ``state_dict``, as a checkpoint has them.
+    """Read an exported policy: its blueprint, ``policy``, and its weights, ``state_dict``, as a checkpoint has them.
 
     Raises:
         CheckpointError: If the file is damaged, or no policy of this project.

@@ -1,4 +1,4 @@
-"""Settings of a run: the recipe of its demonstrations, the weights that phases hand on, and when to evaluate."""
+"""Settings of a run: how its demonstrations are made, the weights that phases hand on, and when to evaluate."""
 
 # No annotations from __future__ here: the parser evaluates none in the constructors that dataclasses generate.
 from collections.abc import Collection, Mapping
@@ -15,7 +15,7 @@ D = TypeVar("D")
 
 @dataclass(frozen=True)
 class CollectionConfig(Configured):
-    """Recipe of demonstrations.
+    """How demonstrations are made.
 
     Args:
         processes: Processes that collect; 0 means one for each core.
@@ -35,9 +35,9 @@ class CollectionConfig(Configured):
     attempts: PositiveInt = 3
 
     def differences(self, other: Mapping[str, object]) -> dict[str, tuple[object, object]]:
-        """Settings in which the demonstrations of another recipe, from a file, differ from this one's: (its own, ours).
+        """Settings by which a file's demonstrations were made that differ from these: (its own, ours).
 
-        Settings that the other recipe lacks had their defaults.
+        Those that the file lacks had their defaults.
         """
         known = {RENAMED.get(name, name): value for name, value in other.items()}
         pairs = {name: (known.get(name, getattr(CollectionConfig, name)), getattr(self, name)) for name in DECISIVE}
@@ -45,7 +45,7 @@ class CollectionConfig(Configured):
 
 
 DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
-"""Settings of a recipe that decide what its demonstrations hold."""
+"""Settings that decide what demonstrations hold."""
 RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}  # Settings that are called otherwise in older files
 
 

@@ -14,7 +14,7 @@ from datamodules.problem import TransferProblem
 from datamodules.settings import build
 from plp_lightning.callbacks.checkpointing import check_owner, read_checkpoint
 from plp_lightning.methods.policy import Policy
-from plp_lightning.methods.upgrade import upgrade_checkpoint, upgrade_recipe, with_todays_settings
+from plp_lightning.methods.upgrade import upgrade_blueprint, upgrade_checkpoint, with_todays_settings
 from plp_lightning.plugins import plugins
 from plp_lightning.runs.directory import RunDirectory
 from plp_lightning.runs.export import SUFFIXES, read_safetensors
@@ -46,7 +46,7 @@ def load_policy(
     content = read_safetensors(file) if file.suffix == SUFFIXES["safetensors"] else read_checkpoint(file)
     problem = TransferProblem.from_dict(content["policy"]["problem"])
     # mypy allows no abstract class to stand for its subclasses: https://github.com/python/mypy/issues/4717
-    policy: Policy = build(_recipe(content["policy"], file), Policy, [PACKAGE, *plugins(), *allow_imports], problem)  # type: ignore[type-abstract]
+    policy: Policy = build(_blueprint(content["policy"], file), Policy, [PACKAGE, *plugins(), *allow_imports], problem)  # type: ignore[type-abstract]
     _put_weights(policy, content, file)
     return policy.eval()
 
@@ -101,7 +101,7 @@ def checkpoint_of(run: RunDirectory, phase: str | None, which: str | None) -> Pa
     return found[-1]
 
 
-def _recipe(record: Mapping[str, Any], checkpoint: Path) -> Mapping[str, Any]:
+def _blueprint(record: Mapping[str, Any], checkpoint: Path) -> Mapping[str, Any]:
     """Class and settings of a policy; earlier versions kept the class in the run's configuration alone."""
     if "class_path" in record:
         return with_todays_settings(record)
@@ -109,4 +109,4 @@ def _recipe(record: Mapping[str, Any], checkpoint: Path) -> Mapping[str, Any]:
     if not config.is_file():
         raise CheckpointError(f"{checkpoint}: does not say of which class its policy is; expected {config} beside it")
     told = yaml.safe_load(config.read_text(encoding="utf-8"))["policy"]["class_path"]
-    return upgrade_recipe(told, record["architecture"])
+    return upgrade_blueprint(told, record["architecture"])

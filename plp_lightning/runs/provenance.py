@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from datamodules.settings import recipe
+from datamodules.settings import blueprint
 from plp_lightning.envs.base import Expert
 
 
@@ -15,7 +15,7 @@ def expert_record(expert: Expert) -> dict[str, Any]:
     """Class and settings of an expert, ``{class_path, init_args}``, as JSON can hold them."""
     # Paths are told as text; of other objects, whose text may hold an address, only the type is known again.
     text = json.dumps(
-        recipe(expert), default=lambda value: str(value) if hasattr(value, "__fspath__") else str(type(value))
+        blueprint(expert), default=lambda value: str(value) if hasattr(value, "__fspath__") else str(type(value))
     )
     plain: dict[str, Any] = json.loads(text)
     return plain

@@ -157,7 +157,7 @@ def test_a_dataclass_is_held_to_its_bounds_those_inherited_too() -> None:
 )
 def test_copies_and_pickles_keep_their_arguments(made: Configured, again: Any) -> None:
     found = again(made)
-    assert settings.recipe(found) == settings.recipe(made)
+    assert settings.blueprint(found) == settings.blueprint(made)
     assert type(found) is type(made)
 
 
@@ -165,12 +165,12 @@ def test_a_copied_policy_keeps_its_arguments(trajectory_file: Path) -> None:
     policy = tiny.policy(tiny.data_module(trajectory_file))
     found = copy.deepcopy(policy)
     assert found.arguments.keys() == policy.arguments.keys()
-    assert settings.recipe(found, ["problem"]) == settings.recipe(policy, ["problem"])
+    assert settings.blueprint(found, ["problem"]) == settings.blueprint(policy, ["problem"])
 
 
 def test_a_recipe_is_plain_and_builds_an_equal_object() -> None:
     made = Whole(Numbers(3, channels=(2, 4)), (Numbers(5), Stricter(6)), 4.0)
-    plain = settings.recipe(made)
+    plain = settings.blueprint(made)
     assert json.loads(json.dumps(plain)) == plain
     assert plain["class_path"].endswith("test_settings.Whole")
     assert plain["init_args"]["part"]["init_args"]["channels"] == [2, 4]
@@ -181,7 +181,7 @@ def test_a_recipe_is_plain_and_builds_an_equal_object() -> None:
 
 
 def test_what_the_caller_gives_is_left_out_and_comes_first() -> None:
-    plain = settings.recipe(Placed("here", Numbers(4)), ["place"])
+    plain = settings.blueprint(Placed("here", Numbers(4)), ["place"])
     assert "place" not in plain["init_args"]
     again = settings.build(plain, Placed, [__name__], "there")
     assert again.place == "there"
@@ -216,7 +216,7 @@ def test_classes_of_another_kind_are_refused(path: str) -> None:
 
 
 def test_a_recipe_out_of_bounds_is_refused() -> None:
-    plain = settings.recipe(Numbers())
+    plain = settings.blueprint(Numbers())
     plain["init_args"]["layers"] = 0
     with pytest.raises(ConfigError, match=r"Numbers\.layers is 0"):
         settings.build(plain, Numbers, [__name__])
@@ -228,10 +228,10 @@ def test_policies_of_any_class_are_built_from_their_recipes() -> None:
         PortablePolicy(problem, latent=4, hidden=8, image_encoder=ImageEncoding((2,), 3)),
         BCPolicy(problem, hidden=8),
     ):
-        plain = json.loads(json.dumps(settings.recipe(made, ["problem"])))
+        plain = json.loads(json.dumps(settings.blueprint(made, ["problem"])))
         again = settings.build(plain, Policy, ["plp_lightning"], problem)  # type: ignore[type-abstract]
         assert type(again) is type(made)
-        assert settings.recipe(again, ["problem"]) == settings.recipe(made, ["problem"])
+        assert settings.blueprint(again, ["problem"]) == settings.blueprint(made, ["problem"])
         again.load_state_dict(made.state_dict())
 
 
@@ -258,7 +258,7 @@ class Unimported(Configured):
 def test_a_class_without_settings_takes_none_and_is_built_again() -> None:
     made = Plain()
     assert made.arguments == {}
-    assert isinstance(settings.build(settings.recipe(made), Plain, [__name__]), Plain)
+    assert isinstance(settings.build(settings.blueprint(made), Plain, [__name__]), Plain)
     with pytest.raises(TypeError, match="argument"):
         Plain(1)  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="argument"):

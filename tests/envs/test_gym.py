@@ -200,7 +200,7 @@ def test_a_configuration_imports_no_package_that_is_not_allowed(tmp_path: Path) 
 
 
 def test_tasks_by_name_alone_are_an_option_of_the_reset() -> None:
-    assert plate(tasks=["east", "west"]).recipe.tasks == {
+    assert plate(tasks=["east", "west"]).factory.tasks == {
         "east": {"reset": {"task": "east"}},
         "west": {"reset": {"task": "west"}},
     }

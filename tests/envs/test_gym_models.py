@@ -11,7 +11,7 @@ import pytest
 
 from plp_lightning.envs.gym import models
 from plp_lightning.envs.gym.models import KEPT, compiled_once
-from plp_lightning.envs.gym.share import Recipe, Share
+from plp_lightning.envs.gym.share import GymFactory, Share
 
 STEPS, SEEDS = 12, (5, 7)
 SWING = "<mujoco><worldbody><body><joint name='{name}'/><geom size='{size}'/></body></worldbody></mujoco>"
@@ -37,11 +37,11 @@ def seen(env: Any, seed: int) -> list[np.ndarray]:
     "name", ["Reacher-v5", "HalfCheetah-v5", "gymnasium_robotics:FetchReach-v4", "gymnasium_robotics:AdroitHandDoor-v1"]
 )
 def test_episodes_are_the_same_with_a_copied_model_and_in_used_environments(name: str) -> None:
-    recipe = Recipe(name, {}, {"task": {}}, None, None)
-    fresh = [seen(recipe.build("task"), seed) for seed in SEEDS]
+    factory = GymFactory(name, {}, {"task": {}}, None, None)
+    fresh = [seen(factory.build("task"), seed) for seed in SEEDS]
     with compiled_once():
-        recipe.build("task")
-        copied = recipe.build("task")
+        factory.build("task")
+        copied = factory.build("task")
     for _ in range(2):
         for seed, wanted in zip(SEEDS, fresh, strict=True):
             for ours, theirs in zip(seen(copied, seed), wanted, strict=True):
@@ -52,13 +52,13 @@ def test_a_share_compiles_a_model_once(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled, compiling = [], mujoco.MjModel.from_xml_path
     counted = staticmethod(lambda path: compiled.append(path) or compiling(path))
     monkeypatch.setattr(mujoco.MjModel, "from_xml_path", counted)
-    Share(Recipe("Reacher-v5", {}, {"a": {}, "b": {}}, None, None)).reset(["a", "b", "a"], [0, 1, 2])
+    Share(GymFactory("Reacher-v5", {}, {"a": {}, "b": {}}, None, None)).reset(["a", "b", "a"], [0, 1, 2])
     assert len(compiled) == 1
 
 
 def test_what_an_environment_does_to_its_model_is_its_own() -> None:
     with compiled_once():
-        one, other = (Recipe("Reacher-v5", {}, {"t": {}}, None, None).build("t").unwrapped for _ in range(2))
+        one, other = (GymFactory("Reacher-v5", {}, {"t": {}}, None, None).build("t").unwrapped for _ in range(2))
     one.model.opt.timestep = 9.0
     assert other.model.opt.timestep < 1.0
     assert one.model is not other.model

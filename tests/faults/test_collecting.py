@@ -27,7 +27,7 @@ from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.stopping import PreemptedError
 
-RECIPE = CollectionConfig(processes=1)
+COLLECTION = CollectionConfig(processes=1)
 LIGHT = ["--data.trajectories", "14", "--data.target_trajectories", "2", "--collection.processes", "1"]
 MISSING: dict[str, dict[str, int]] = {"flat": {"goal_0": 2, "goal_1": 2, "goal_3": 2}}
 
@@ -45,7 +45,7 @@ def arrays(path: Path) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("unbroken") / "a.hdf5"
-    ExpertCollector(tiny.domains(), RECIPE)(path, MISSING)
+    ExpertCollector(tiny.domains(), COLLECTION)(path, MISSING)
     return path
 
 
@@ -64,7 +64,7 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         patch.setattr(collection, "KEPT_SECONDS", -1.0)
         patch.setattr(recorder, "QUICK_BYTES", -1)
         with pytest.raises(PreemptedError):
-            ExpertCollector(tiny.domains(), RECIPE)(path, MISSING)
+            ExpertCollector(tiny.domains(), COLLECTION)(path, MISSING)
     assert not path.exists()
     assert len(part_files(path)) == 2
     return path
@@ -72,7 +72,7 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_what_was_cut_off_goes_on_to_the_file_of_an_unbroken_collection(broken: Path, unbroken: Path) -> None:
     data = tiny.data_module(broken, trajectories=7, target_trajectories=2, domain_names=("flat",))
-    data.collector = ExpertCollector(tiny.domains(), RECIPE)
+    data.collector = ExpertCollector(tiny.domains(), COLLECTION)
     data.needed = lambda: dict(MISSING)  # type: ignore[method-assign]
     data.prepare_data()
     assert data.collected == 2
@@ -126,7 +126,7 @@ def test_a_part_that_was_damaged_is_named(broken: Path) -> None:
 
 def test_parts_of_another_recipe_or_another_domain_are_refused(broken: Path) -> None:
     data = tiny.data_module(broken)
-    data.collector = ExpertCollector(tiny.domains(), replace(RECIPE, noise=0.5))
+    data.collector = ExpertCollector(tiny.domains(), replace(COLLECTION, noise=0.5))
     with pytest.raises(UserError, match=r"\.parts/.*collected with --collection.noise 0.0; expected 0.5"):
         data.prepare_data()
     specs = [LinearPoint(1, state_size=9).spec("flat")]
@@ -216,7 +216,7 @@ def test_a_lack_tells_how_much_is_there(tmp_path: Path) -> None:
     data = tiny.data_module(path, trajectories=70)
     with pytest.raises(UserError, match=r"task 'goal_0' in domain 'flat'\), of which it holds 3 of 10"):
         data.prepare_data()
-    data.collector = ExpertCollector({name: Domain(d.simulator) for name, d in tiny.domains().items()}, RECIPE)
+    data.collector = ExpertCollector({name: Domain(d.simulator) for name, d in tiny.domains().items()}, COLLECTION)
     with pytest.raises(UserError, match=r"no expert; .* which holds 3 of the 10 of task 'goal_0'"):
         data.prepare_data()
 
@@ -225,13 +225,13 @@ def test_a_lack_tells_how_much_is_there(tmp_path: Path) -> None:
 
 
 def seeds(job: Job) -> list[int]:
-    return [t.seed for wave in demonstrate(job, RECIPE) for t in wave]
+    return [t.seed for wave in demonstrate(job, COLLECTION) for t in wave]
 
 
 def test_waves_are_small_and_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     collection._begin_process(tiny.domains(), 1)
     job = Job("flat", "goal_1", 100, frozenset())
-    waves = [len(wave) for wave in demonstrate(job, RECIPE)]
+    waves = [len(wave) for wave in demonstrate(job, COLLECTION)]
     assert max(waves) == collection.WAVE
     found = seeds(job)
     monkeypatch.setattr(collection, "WAVE", 1000)

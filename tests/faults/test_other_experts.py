@@ -14,7 +14,7 @@ from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert
 from plp_lightning.runs.collection import ExpertCollector
 from plp_lightning.runs.plans import CollectionConfig
 
-RECIPE = CollectionConfig(processes=1)
+COLLECTION = CollectionConfig(processes=1)
 
 
 class OtherExpert(LinearPointExpert):
@@ -28,21 +28,21 @@ def one_domain(expert: LinearPointExpert) -> dict[str, Domain]:
 @pytest.fixture(scope="module")
 def by_gain_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("experts") / "a.hdf5"
-    ExpertCollector(one_domain(LinearPointExpert(gain=3.0)), RECIPE)(path, {"flat": {"goal_0": 1}})
+    ExpertCollector(one_domain(LinearPointExpert(gain=3.0)), COLLECTION)(path, {"flat": {"goal_0": 1}})
     return path
 
 
 def test_demonstrations_of_an_expert_with_other_settings_are_refused(by_gain_3: Path) -> None:
-    ExpertCollector(one_domain(LinearPointExpert(gain=3.0)), RECIPE).check(by_gain_3)
+    ExpertCollector(one_domain(LinearPointExpert(gain=3.0)), COLLECTION).check(by_gain_3)
     message = r"collected with --domains.flat.expert.gain 3.0; expected 2.0: restore the setting or name another"
     with pytest.raises(UserError, match=message):
-        ExpertCollector(one_domain(LinearPointExpert()), RECIPE).check(by_gain_3)
+        ExpertCollector(one_domain(LinearPointExpert()), COLLECTION).check(by_gain_3)
 
 
 def test_demonstrations_of_an_expert_of_another_class_are_refused(by_gain_3: Path) -> None:
     message = r"collected with --domains.flat.expert LinearPointExpert; expected OtherExpert: restore"
     with pytest.raises(UserError, match=message):
-        ExpertCollector(one_domain(OtherExpert(gain=3.0)), RECIPE).check(by_gain_3)
+        ExpertCollector(one_domain(OtherExpert(gain=3.0)), COLLECTION).check(by_gain_3)
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_demonstrations_of_an_expert_of_another_class_are_refused(by_gain_3: Pat
     ],
 )
 def test_records_of_experts_are_compared_as_far_as_they_go(tmp_path: Path, record: object, accepted: bool) -> None:
-    path, collector = tmp_path / "a.hdf5", ExpertCollector(one_domain(LinearPointExpert()), RECIPE)
+    path, collector = tmp_path / "a.hdf5", ExpertCollector(one_domain(LinearPointExpert()), COLLECTION)
     why = {"recipe": {"noise": 0.0}, "experts": {"flat": record}}
     made = [t for t in tiny.demonstrations(3) if t.domain == "flat"]
     write_trajectories(path, [LinearPoint(1, 3).spec("flat")], tiny.TASKS, made, why)

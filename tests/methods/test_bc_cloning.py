@@ -97,11 +97,11 @@ def test_a_saturated_action_still_has_a_gradient() -> None:
 
 def test_the_policy_is_rebuilt_from_problem_and_recipe() -> None:
     policy = build()
-    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    plain = json.loads(json.dumps(settings.blueprint(policy, ["problem"])))
     other = settings.build(plain, BCPolicy, ["plp_lightning"], policy.problem)
     other.load_state_dict(policy.state_dict())
     assert not isinstance(policy, AligningPolicy)
-    assert settings.recipe(other, ["problem"]) == settings.recipe(policy, ["problem"])
+    assert settings.blueprint(other, ["problem"]) == settings.blueprint(policy, ["problem"])
     state = np.ones((2, 7), np.float32)
     np.testing.assert_array_equal(*(p.act(Observation(state), "large", ["lift", "push"]) for p in (policy, other)))
 

@@ -54,5 +54,5 @@ def test_source_and_target_are_those_of_the_problem_not_the_first_and_the_last(d
 
 def test_its_recipe_rebuilds_the_policy(policy: CdilPolicy) -> None:
     problem = type(policy.problem).from_dict(policy.problem.to_dict())
-    again = settings.build(settings.recipe(policy, ["problem"]), CdilPolicy, ["plp_lightning"], problem)
+    again = settings.build(settings.blueprint(policy, ["problem"]), CdilPolicy, ["plp_lightning"], problem)
     again.load_state_dict(policy.state_dict())

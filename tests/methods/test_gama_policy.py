@@ -65,7 +65,7 @@ def test_the_action_map_sees_the_state_if_it_is_told_to(action_map_state: bool) 
 
 def test_its_recipe_rebuilds_the_policy_after_json() -> None:
     policy = build(action_map_state=True)
-    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    plain = json.loads(json.dumps(settings.blueprint(policy, ["problem"])))
     again = settings.build(plain, GamaPolicy, ["plp_lightning"], policy.problem)
     again.load_state_dict(policy.state_dict())
     observation, task = inputs()

@@ -274,10 +274,10 @@ def test_scaling_travels_with_the_weights() -> None:
 
 def test_its_recipe_rebuilds_the_policy_after_json() -> None:
     policy = build(decoder_state=["a"])
-    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    plain = json.loads(json.dumps(settings.blueprint(policy, ["problem"])))
     again = settings.build(plain, PortablePolicy, ["plp_lightning"], tiny.problem([SMALL, LARGE, TWIN], TASKS))
     again.load_state_dict(policy.state_dict())
-    assert settings.recipe(again, ["problem"]) == settings.recipe(policy, ["problem"])
+    assert settings.blueprint(again, ["problem"]) == settings.blueprint(policy, ["problem"])
 
 
 def test_actions_come_in_the_owners_units_but_simulators_get_theirs() -> None:

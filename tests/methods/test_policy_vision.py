@@ -157,9 +157,9 @@ def test_acting_needs_numpy_images_alone() -> None:
 
 def test_its_recipe_rebuilds_a_policy_that_sees_after_json() -> None:
     policy = build(LEFT, RIGHT)
-    plain = json.loads(json.dumps(settings.recipe(policy, ["problem"])))
+    plain = json.loads(json.dumps(settings.blueprint(policy, ["problem"])))
     again = settings.build(plain, PortablePolicy, ["plp_lightning"], tiny.problem([LEFT, RIGHT], TASKS))
     again.load_state_dict(policy.state_dict())
-    assert settings.recipe(again, ["problem"]) == settings.recipe(policy, ["problem"])
+    assert settings.blueprint(again, ["problem"]) == settings.blueprint(policy, ["problem"])
     observation, task = inputs(LEFT, RIGHT)
     assert torch.equal(again(observation, task).action["left"], policy(observation, task).action["left"])

@@ -25,7 +25,7 @@ from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
 from plp_lightning.stopping import PreemptedError
 
-RECIPE = CollectionConfig(processes=1, noise=0.2)
+NOISY = CollectionConfig(processes=1, noise=0.2)
 IDLE = LinearPointExpert(gain=0.0)
 
 
@@ -52,10 +52,10 @@ class Recording(LinearPoint):
 
 
 def made(
-    expert: Expert, job: Job, recipe: CollectionConfig = RECIPE, simulator: Simulator | None = None
+    expert: Expert, job: Job, settings: CollectionConfig = NOISY, simulator: Simulator | None = None
 ) -> list[Trajectory]:
     collection._begin_process({"flat": Domain(simulator or LinearPoint(1, 3), expert)}, 1)
-    return [trajectory for wave in demonstrate(job, recipe) for trajectory in wave]
+    return [trajectory for wave in demonstrate(job, settings) for trajectory in wave]
 
 
 def job(count: int, known: frozenset[int] = frozenset()) -> Job:
@@ -63,7 +63,7 @@ def job(count: int, known: frozenset[int] = frozenset()) -> Job:
 
 
 def indices(trajectories: Sequence[Trajectory]) -> list[int]:
-    first = episode_seed("collect", RECIPE.seed, "flat", "goal_1", 0)
+    first = episode_seed("collect", NOISY.seed, "flat", "goal_1", 0)
     return [t.seed - first for t in trajectories]
 
 
@@ -74,7 +74,7 @@ def content(path: Path) -> list[tuple[str, str, int, bytes, bytes]]:
 
 
 def collected(path: Path, missing: Mapping[str, Mapping[str, int]], processes: int) -> list[tuple[str, ...]]:
-    ExpertCollector(tiny.domains(), replace(RECIPE, processes=processes))(path, missing)
+    ExpertCollector(tiny.domains(), replace(NOISY, processes=processes))(path, missing)
     return content(path)
 
 
@@ -89,7 +89,7 @@ def test_demonstrations_do_not_depend_on_the_number_of_processes(tmp_path: Path)
     ]
     with TrajectoryFile.open(tmp_path / "two.hdf5") as file:
         assert file.tasks == tiny.TASKS
-        assert file.provenance["recipe"] == {**asdict(RECIPE), "processes": 2}
+        assert file.provenance["recipe"] == {**asdict(NOISY), "processes": 2}
         expert = {"class_path": "plp_lightning.envs.synthetic.LinearPointExpert", "init_args": {"gain": 2.0}}
         assert file.provenance["experts"] == {"flat": expert, "tall": expert}
 
@@ -123,7 +123,7 @@ def test_many_known_demonstrations_are_no_failed_attempts() -> None:
 
 
 def test_only_successes_are_kept_in_the_order_of_their_seeds() -> None:
-    first = episode_seed("collect", RECIPE.seed, "flat", "goal_1", 0)
+    first = episode_seed("collect", NOISY.seed, "flat", "goal_1", 0)
     found = made(Fickle(rest=(first + 1) % 3), job(6), CollectionConfig())
     assert indices(found) == [0, 2, 3, 5, 6, 8]
     assert all(t.success for t in found)
@@ -150,14 +150,14 @@ def test_an_unfit_expert_is_told_of_after_so_many_attempts() -> None:
 
 def test_the_message_of_an_unfit_expert_comes_out_of_its_process(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="expert of domain 'flat' solved task 'goal_0' 0 times"):
-        ExpertCollector({"flat": Domain(LinearPoint(1), IDLE)}, RECIPE)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}})
+        ExpertCollector({"flat": Domain(LinearPoint(1), IDLE)}, NOISY)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}})
     assert list(tmp_path.glob("*.hdf5")) == []
 
 
 def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
     domains = {"flat": Domain(LinearPoint(1), LinearPointExpert()), "tall": Domain(LinearPoint(2))}
     with pytest.raises(UserError, match=r"domain 'tall' has no expert; add one or import .*a\.hdf5"):
-        ExpertCollector(domains, RECIPE)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}, "tall": {"goal_0": 1}})
+        ExpertCollector(domains, NOISY)(tmp_path / "a.hdf5", {"flat": {"goal_0": 1}, "tall": {"goal_0": 1}})
 
 
 @pytest.mark.parametrize(
@@ -166,9 +166,9 @@ def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
 def test_demonstrations_of_another_recipe_are_refused(tmp_path: Path, setting: str, value: float) -> None:
     path = tmp_path / "a.hdf5"
     domains = {"flat": Domain(LinearPoint(1), LinearPointExpert())}
-    ExpertCollector(domains, RECIPE)(path, {"flat": {"goal_0": 1}})
-    other = replace(RECIPE, **{setting: value})
-    was = getattr(RECIPE, setting)
+    ExpertCollector(domains, NOISY)(path, {"flat": {"goal_0": 1}})
+    other = replace(NOISY, **{setting: value})
+    was = getattr(NOISY, setting)
     with pytest.raises(UserError, match=rf"collected with --collection.{setting} {was}; expected {value}: restore"):
         ExpertCollector(domains, other).check(path)
     ExpertCollector({"tall": domains["flat"]}, other).check(path)  # another experiment's domain
@@ -177,17 +177,17 @@ def test_demonstrations_of_another_recipe_are_refused(tmp_path: Path, setting: s
 def test_recipes_that_make_the_same_demonstrations_share_a_file(tmp_path: Path) -> None:
     path = tmp_path / "a.hdf5"
     domains = {"flat": Domain(LinearPoint(1), LinearPointExpert())}
-    ExpertCollector(domains, RECIPE)(path, {"flat": {"goal_0": 1}})
-    ExpertCollector(domains, replace(RECIPE, processes=2, attempts=9)).check(path)
+    ExpertCollector(domains, NOISY)(path, {"flat": {"goal_0": 1}})
+    ExpertCollector(domains, replace(NOISY, processes=2, attempts=9)).check(path)
 
 
 def test_a_recipe_among_earlier_ones_counts_too(tmp_path: Path) -> None:
     path = tmp_path / "a.hdf5"
     domains = {"flat": Domain(LinearPoint(1), LinearPointExpert())}
-    ExpertCollector(domains, replace(RECIPE, hold_steps=2))(path, {"flat": {"goal_0": 1}})
-    ExpertCollector(domains, RECIPE)(path, {"flat": {"goal_1": 1}})
+    ExpertCollector(domains, replace(NOISY, hold_steps=2))(path, {"flat": {"goal_0": 1}})
+    ExpertCollector(domains, NOISY)(path, {"flat": {"goal_1": 1}})
     with pytest.raises(UserError, match=r"--collection.hold_steps 2; expected 5"):
-        ExpertCollector(domains, RECIPE).check(path)
+        ExpertCollector(domains, NOISY).check(path)
 
 
 @pytest.mark.parametrize("provenance", [{"command": "import"}, {"experts": "a person", "recipe": "patience"}])
@@ -195,7 +195,7 @@ def test_demonstrations_from_elsewhere_are_taken_as_they_are(tmp_path: Path, pro
     path, domains = tmp_path / "a.hdf5", {"flat": Domain(LinearPoint(1, 3), LinearPointExpert())}
     specs = [domain.simulator.spec(name) for name, domain in domains.items()]
     write_trajectories(path, specs, LinearPoint(1, 3).tasks.names, made(LinearPointExpert(), job(1)), provenance)
-    ExpertCollector(domains, RECIPE).check(path)
+    ExpertCollector(domains, NOISY).check(path)
 
 
 def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
@@ -254,8 +254,8 @@ def test_what_was_seen_after_the_last_action_is_kept_whenever_an_episode_ends(
             return step
 
     newest: dict[int, np.ndarray] = {}
-    recipe = CollectionConfig(noise=noise, random_start_steps=random_start_steps, hold_steps=2)
-    found = made(LinearPointExpert(), job(6), recipe, Watched(1, 3))
+    settings = CollectionConfig(noise=noise, random_start_steps=random_start_steps, hold_steps=2)
+    found = made(LinearPointExpert(), job(6), settings, Watched(1, 3))
     assert len({len(trajectory) for trajectory in found}) > 1
     ends = {tuple(state.tolist()) for state in newest.values()}
     for trajectory in found:

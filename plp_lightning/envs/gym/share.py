@@ -22,7 +22,7 @@ from plp_lightning.envs.rendering.backend import choose_backend
 
 
 @dataclass(frozen=True)
-class Recipe:
+class GymFactory:
     """All that it takes to make environments and to read what they show; plain data, for other processes."""
 
     env: str
@@ -79,11 +79,11 @@ class Share:
     Environments are kept for later episodes of the same task: making one may cost more than an episode.
 
     Args:
-        recipe: Makes them.
+        factory: Makes them.
     """
 
-    def __init__(self, recipe: Recipe) -> None:
-        self.recipe = recipe
+    def __init__(self, factory: GymFactory) -> None:
+        self.factory = factory
         self.free: dict[str, list[Any]] = defaultdict(list)  # by task
         self.envs: list[tuple[str, Any]] = []  # of each episode, with its task
         self.last: list[Any] = []
@@ -99,7 +99,7 @@ class Share:
         self.steps, left = map(list, zip(*(_bare(env) for _, env in self.envs), strict=True))
         self.left, self.over = np.array(left), np.zeros(len(tasks), bool)
         self.last = [
-            env.reset(seed=seed, options=dict(self.recipe.tasks[task].get("reset", {})) or None)[0]
+            env.reset(seed=seed, options=dict(self.factory.tasks[task].get("reset", {})) or None)[0]
             for (task, env), seed in zip(self.envs, seeds, strict=True)
         ]
         return self._observed(range(len(tasks)))
@@ -120,14 +120,14 @@ class Share:
         """Pictures ``(H, W, 3)`` of the episodes ``(n,)``, of the environments' own size."""
         pictures = [self.envs[i][1].render() for i in episodes]
         if any(picture is None for picture in pictures):
-            raise ConfigError(f"environment {self.recipe.env!r} draws nothing; expected render_mode 'rgb_array'")
+            raise ConfigError(f"environment {self.factory.env!r} draws nothing; expected render_mode 'rgb_array'")
         return [np.asarray(picture, np.uint8) for picture in pictures]
 
     def _env(self, task: str) -> Any:
         if self.free[task]:
             return self.free[task].pop()
         with compiled_once():
-            return self.recipe.build(task)
+            return self.factory.build(task)
 
     def _step(self, actions: np.ndarray, episodes: Sequence[int]) -> list[bool]:
         """Take a step of its own in each episode; tells which are solved."""
@@ -140,7 +140,7 @@ class Share:
         return solved
 
     def _solved(self, reward: Any, terminated: Any, info: Mapping[str, Any]) -> bool:
-        wanted = self.recipe.success
+        wanted = self.factory.success
         if wanted is None:
             return bool(info.get("is_success", info.get("success", terminated)))
         if isinstance(wanted, float | int):
@@ -159,7 +159,7 @@ class Share:
 
     @cached_property
     def _leaves(self) -> tuple[Leaf, ...]:
-        return find_leaves(self.envs[0][1].observation_space, self.recipe.keys)
+        return find_leaves(self.envs[0][1].observation_space, self.factory.keys)
 
     @cached_property
     def _actions(self) -> ActionRange:

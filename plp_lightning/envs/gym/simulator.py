@@ -12,7 +12,7 @@ from datamodules.errors import ConfigError
 from datamodules.settings import NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import DomainSpec, ObservationKey
 from plp_lightning.envs.base import available_cores
-from plp_lightning.envs.gym.share import Recipe
+from plp_lightning.envs.gym.share import GymFactory
 from plp_lightning.envs.gym.spaces import ActionRange, find_leaves
 from plp_lightning.envs.gym.trial import try_out
 from plp_lightning.envs.pool import Pool, PooledSimulator
@@ -69,14 +69,14 @@ class Gymnasium(PooledSimulator):
         threads: NonNegativeInt = 0,
     ) -> None:
         setups = _setups(tasks)
-        self.recipe = Recipe(env, make or {}, setups, success, None if keys is None else tuple(keys))
+        self.factory = GymFactory(env, make or {}, setups, success, None if keys is None else tuple(keys))
         self.control_hz, self.horizon, self.threads = control_hz, horizon, threads
         self.imports = tuple(filter(None, [env.rpartition(":")[0]]))
         self._tasks = Tasks(env, tuple(tasks))
 
     def spec(self, name: str) -> DomainSpec:
         low, high = (tuple(map(float, limit)) for limit in (self._shown.actions.low, self._shown.actions.high))
-        env = f"Gymnasium {self.recipe.env}" + "".join(f", {k} {v}" for k, v in sorted(self.recipe.make.items()))
+        env = f"Gymnasium {self.factory.env}" + "".join(f", {k} {v}" for k, v in sorted(self.factory.make.items()))
         return DomainSpec(name, self._shown.keys, len(low), self._shown.control_hz, env, low, high)
 
     def render(self, episodes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -85,15 +85,15 @@ class Gymnasium(PooledSimulator):
 
     @cached_property
     def _pool(self) -> Pool:
-        return Pool(self.recipe, self.threads or available_cores())
+        return Pool(self.factory, self.threads or available_cores())
 
     @cached_property
     def _shown(self) -> Shown:
         task = self.tasks.names[0]
-        env = self.recipe.build(task)
-        keys = tuple(leaf.key for leaf in find_leaves(env.observation_space, self.recipe.keys))
+        env = self.factory.build(task)
+        keys = tuple(leaf.key for leaf in find_leaves(env.observation_space, self.factory.keys))
         found = Shown(keys, ActionRange.of(env.action_space), self.control_hz or _control_hz(env))
-        try_out(self.recipe, env, task, keys, len(found.actions.low))
+        try_out(self.factory, env, task, keys, len(found.actions.low))
         env.close()
         return found
 

@@ -10,17 +10,17 @@ import numpy as np
 
 from datamodules.errors import ConfigError, UserError
 from datamodules.types import Observation, ObservationKey
-from plp_lightning.envs.gym.share import Recipe
+from plp_lightning.envs.gym.share import GymFactory
 
 RESET = "reset(seed=…, options=…) that gives an observation and an info"
 STEP = "step(action) that gives an observation, a reward, terminated, truncated and an info"
 
 
-def try_out(recipe: Recipe, env: Any, task: str, keys: tuple[ObservationKey, ...], actions: int) -> None:
+def try_out(factory: GymFactory, env: Any, task: str, keys: tuple[ObservationKey, ...], actions: int) -> None:
     """Begin an episode of a task in an environment, and take the middle action.
 
     Args:
-        recipe: Made the environment.
+        factory: Made the environment.
         env: The environment.
         task: Name of the task.
         keys: What the environment's observation space promises to show.
@@ -29,14 +29,14 @@ def try_out(recipe: Recipe, env: Any, task: str, keys: tuple[ObservationKey, ...
     Raises:
         ConfigError: If the environment fails, or shows something else.
     """
-    share = recipe.share()
+    share = factory.share()
     share.free[task].append(env)
-    with _telling(recipe.env, RESET):
+    with _telling(factory.env, RESET):
         seen = share.reset([task], [0])
-    _check(recipe.env, seen, keys, RESET)
-    with _telling(recipe.env, STEP):
+    _check(factory.env, seen, keys, RESET)
+    with _telling(factory.env, STEP):
         seen = share.step(np.zeros((1, actions)), np.arange(1)).observation
-    _check(recipe.env, seen, keys, STEP)
+    _check(factory.env, seen, keys, STEP)
 
 
 @contextmanager

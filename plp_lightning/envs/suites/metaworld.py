@@ -14,7 +14,7 @@ from plp_lightning.envs.suites.simulator import Suite, pick_keys
 from plp_lightning.envs.suites.variant import choose
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.suites.share import WorldRecipe
+    from plp_lightning.envs.suites.share import WorldFactory
 
 OWN = (ObservationKey("hand_pos", (3,), unit="m"), ObservationKey("gripper", (1,)))
 OBJECTS = (
@@ -99,12 +99,12 @@ class MetaWorld(Suite):
             choose("task", variant.name, NAMES, "Meta-World")
         return self._image_keys([camera.name for camera in read_scene(SCENE).cameras])
 
-    def _recipe(self) -> WorldRecipe:
-        from plp_lightning.envs.suites.metaworld_world import MetaWorldRecipe
+    def _factory(self) -> WorldFactory:
+        from plp_lightning.envs.suites.metaworld_world import MetaWorldFactory
 
         view, origin = (*self.cameras, VIEW)[0], " ".join(("Meta-World", *self.cameras))
         columns = _columns(self._keys)
-        return MetaWorldRecipe(origin, self.regions, self.cameras, view, self.image_size, columns)
+        return MetaWorldFactory(origin, self.regions, self.cameras, view, self.image_size, columns)
 
 
 def _columns(keys: Sequence[ObservationKey]) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from metaworld.policies import ENV_POLICY_MAP
 from metaworld.utils import reward_utils
 
 from plp_lightning.envs.suites.metaworld_senses import Senses
-from plp_lightning.envs.suites.share import WorldRecipe
+from plp_lightning.envs.suites.share import WorldFactory
 from plp_lightning.envs.suites.variant import Variant
 from plp_lightning.envs.suites.world import World
 
@@ -27,7 +27,7 @@ FORWARD = 1.0, 0.0, 1.0, 0.0  # orientation of the point that the hand follows, 
 
 
 @dataclass(frozen=True)
-class MetaWorldRecipe(WorldRecipe):
+class MetaWorldFactory(WorldFactory):
     """Worlds of Meta-World that show these columns of its observation ``(39,)``."""
 
     columns: tuple[int, ...]

@@ -16,7 +16,7 @@ from plp_lightning.envs.suites.setup import OBJECT, Setup
 from plp_lightning.envs.suites.simulator import Suite, pick_keys
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.suites.share import WorldRecipe
+    from plp_lightning.envs.suites.share import WorldFactory
 
 VIEW = "frontview"  # the camera of films, where observations have none
 
@@ -113,15 +113,15 @@ class Robosuite(Suite):
         hidden = (OBJECT,) if self.objects else about
         return pick_keys(offered, self.state, hidden, f"robosuite's {', '.join(self.tasks.names)}")
 
-    def _recipe(self) -> WorldRecipe:
+    def _factory(self) -> WorldFactory:
         if self.cameras:
             from plp_lightning.envs.rendering.backend import choose_backend
 
             choose_backend()  # before MuJoCo is imported, which asks for it then
-        from plp_lightning.envs.suites.robosuite_recipe import RobosuiteRecipe
+        from plp_lightning.envs.suites.robosuite_factory import RobosuiteFactory
 
         view, origin = (*self.cameras, VIEW)[0], " ".join(("robosuite", *self.setup.robots, *self.cameras))
         keys = tuple(key.name for key in self._state_keys)
-        return RobosuiteRecipe(
+        return RobosuiteFactory(
             origin, self.regions, self.cameras, view, self.image_size, self.setup, self.spread, self.turned, keys
         )

@@ -17,7 +17,7 @@ from plp_lightning.envs.suites.world import Snapshot, World
 
 
 @dataclass(frozen=True)
-class WorldRecipe(ABC):
+class WorldFactory(ABC):
     """All that it takes to make worlds and what they show; plain data, for other processes."""
 
     origin: str  # Name that joins seeds, so that equal ones don't make the initial states of two domains alike
@@ -48,11 +48,11 @@ class WorldShare:
     """Episodes of one process, each a snapshot of its world.
 
     Args:
-        recipe: Makes worlds.
+        factory: Makes worlds.
     """
 
-    def __init__(self, recipe: WorldRecipe) -> None:
-        self.recipe, self.episodes = recipe, list[_Running]()
+    def __init__(self, factory: WorldFactory) -> None:
+        self.factory, self.episodes = factory, list[_Running]()
         self.worlds: dict[str, tuple[World, Pictures]] = {}  # by the library's name
 
     def reset(self, tasks: Sequence[str], seeds: Sequence[int]) -> Observation[np.ndarray]:
@@ -83,14 +83,14 @@ class WorldShare:
         """Pictures ``(H, W, 3)`` of the episodes ``(n,)``."""
         drawn = []
         for one in (self.episodes[i] for i in episodes):
-            drawn.append(one.pictures.film(self._in_place(one), self.recipe.view, size))
+            drawn.append(one.pictures.film(self._in_place(one), self.factory.view, size))
         return drawn
 
     def _begin(self, task: str, seed: int) -> _Running:
-        variant = Variant.of(task, self.recipe.regions)
+        variant = Variant.of(task, self.factory.regions)
         world, pictures = self._world(variant.name)
         world.clear()
-        world.begin(variant, start_generator(seed, f"{self.recipe.origin} {task}"))
+        world.begin(variant, start_generator(seed, f"{self.factory.origin} {task}"))
         state, images = world.observe(), pictures.images(world)
         return _Running(world, pictures, world.take(), state, images)
 
@@ -113,11 +113,11 @@ class WorldShare:
 
     def _world(self, name: str) -> tuple[World, Pictures]:
         if name not in self.worlds:
-            world = self.recipe.build(name)
-            self.worlds[name] = world, Pictures(world, self.recipe.cameras, self.recipe.image_size)
+            world = self.factory.build(name)
+            self.worlds[name] = world, Pictures(world, self.factory.cameras, self.factory.image_size)
         return self.worlds[name]
 
     def _observed(self, running: Sequence[_Running]) -> Observation[np.ndarray]:
-        names = self.recipe.cameras
+        names = self.factory.cameras
         images = {name: np.stack([one.images[i] for one in running]) for i, name in enumerate(names)}
         return Observation(np.stack([one.state for one in running]).astype(np.float32), images)

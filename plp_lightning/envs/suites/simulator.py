@@ -17,7 +17,7 @@ from plp_lightning.envs.suites.variant import Variant, choose
 from plp_lightning.envs.tasks import Tasks
 
 if TYPE_CHECKING:
-    from plp_lightning.envs.suites.share import WorldRecipe
+    from plp_lightning.envs.suites.share import WorldFactory
 
 
 class Suite(PooledSimulator):
@@ -28,12 +28,12 @@ class Suite(PooledSimulator):
         return self._pool.rows("render", episodes, size)
 
     @abstractmethod
-    def _recipe(self) -> WorldRecipe: ...
+    def _factory(self) -> WorldFactory: ...
 
     @cached_property
     def _pool(self) -> Pool:
         self.spec("")  # tells what is wrong with names in one line, before processes are started
-        return Pool(self._recipe(), self.threads or available_cores())
+        return Pool(self._factory(), self.threads or available_cores())
 
     def _remember(
         self, family: str, tasks: Sequence[str], cameras: Sequence[str], image_size: int, regions: int

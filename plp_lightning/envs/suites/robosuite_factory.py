@@ -1,16 +1,16 @@
-"""Recipe of robosuite's worlds; robosuite itself is imported where one is."""
+"""Factory of robosuite's worlds; robosuite itself is imported where one is."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from plp_lightning.envs.suites.setup import Setup
-from plp_lightning.envs.suites.share import WorldRecipe
+from plp_lightning.envs.suites.share import WorldFactory
 from plp_lightning.envs.suites.world import World
 
 
 @dataclass(frozen=True)
-class RobosuiteRecipe(WorldRecipe):
+class RobosuiteFactory(WorldFactory):
     """Worlds of robosuite that show these keys."""
 
     setup: Setup
