@@ -16,6 +16,7 @@ from datamodules.transfer import TransferDataModule
 from plp_lightning.envs.base import Simulator
 from plp_lightning.envs.synthetic import LinearPoint
 from plp_lightning.pictures.reenactment import Reenactment
+from plp_lightning.runs import collection
 from plp_lightning.runs.collection import Job, demonstrate
 from plp_lightning.runs.plans import CollectionConfig
 
@@ -50,12 +51,12 @@ class Broken(LinearPoint):
         raise ValueError("no bulb")
 
 
-def collected(path: Path, collection: CollectionConfig) -> TransferDataModule:
+def collected(path: Path, settings: CollectionConfig) -> TransferDataModule:
     """Demonstrations of both tiny domains by these settings."""
     domains = tiny.domains()
     collection._begin_process(domains, 1)
     jobs = [Job(domain, task, 4, frozenset()) for domain in domains for task in tiny.TASKS]
-    made = [trajectory for job in jobs for wave in demonstrate(job, collection) for trajectory in wave]
+    made = [trajectory for job in jobs for wave in demonstrate(job, settings) for trajectory in wave]
     specs = [domain.world.spec(name) for name, domain in domains.items()]
     write_trajectories(path, specs, tiny.TASKS, made, {"command": "tests"})
     data = tiny.data_module(path)
