@@ -21,6 +21,7 @@ from plp_lightning.report.tables import (
     side_by_side,
     success_rates,
 )
+from plp_lightning.report.verdicts import verdicts
 
 TITLE = "Report"
 Tell = Callable[[str], None]
@@ -38,6 +39,7 @@ def table_sections(records: Sequence[Record], rows: Sequence[Row], compared: Ref
         *interquartile_means(groups),
         *differences(groups),
         *side_by_side(groups, compared),
+        *verdicts(groups),
         *measured(groups, "alignment", "Alignment", scores),
         *measured(groups, "behaviour", "Behaviour", behaviour),
         *measured(groups, "held_out", "Held-out actions", errors, digits=4),

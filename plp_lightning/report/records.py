@@ -55,6 +55,8 @@ class Record:
     settings: Mapping[str, Any] | None = None  # that differ from the defaults, by dotted key; None if never recorded
     behaviour: Mapping[str, float] = field(default_factory=dict)  # further measures of the target task's episodes
     held_out: Mapping[str, float] = field(default_factory=dict)  # error of held-out actions, by domain
+    facts: Mapping[str, float] = field(default_factory=dict)  # of the verdict; none where none was given
+    falls_short: tuple[str, ...] = ()  # of them, those that miss their bound
     episodes: int | None = None  # of the target task in the target domain
     commit: str | None = None
     recipe: str | None = None  # whose name the method's ends in; None: the page's own settings
@@ -168,6 +170,8 @@ def _measured(content: Mapping[str, Any]) -> Record:
         settings=None if content.get("settings") is None else dict(content["settings"]),
         behaviour=_numbers({name: x for name, x in (target or {}).items() if name not in COUNTED}),
         held_out=_numbers(errors),
+        facts=_numbers(content.get("facts") or {}),
+        falls_short=tuple(visible(str(name)) for name in content.get("falls_short") or ()),
         episodes=int(target["episodes"]) if target and "episodes" in target else None,
     )
 
