@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.measuring import Options, Row, at_most, in_turn, ratio, timed
 from datamodules.types import Observation
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_cores
 from plp_lightning.envs.gym.simulator import Gymnasium
 from plp_lightning.envs.rollout import rollout
 

@@ -7,7 +7,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_cores
 from plp_lightning.runs.gpus import gpus
 from plp_lightning.runs.versions import commit, versions
 

@@ -13,7 +13,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from benchmarks.measuring import Options, Row, in_turn, ratio, timed
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_cores
 from plp_lightning.envs.maze.base import Maze
 from plp_lightning.envs.maze.simulator import PointMaze, WalkerMaze
 

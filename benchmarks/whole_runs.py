@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.measuring import Options, Row
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_cores
 
 ROOT = Path(__file__).parents[1]
 GOALS, SEEDS = ("goal_1_6", "goal_6_1", "goal_6_6"), 9

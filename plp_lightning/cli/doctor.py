@@ -16,7 +16,7 @@ from rich.table import Table
 
 from datamodules.errors import UserError
 from plp_lightning.cli.options import OptionParser
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_cores
 from plp_lightning.envs.rendering.backend import Backend
 from plp_lightning.envs.rendering.speed import frames_per_second
 from plp_lightning.runs.gpus import gpus

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -103,8 +102,3 @@ class Domain:
         """The simulator of a domain that is known to have one."""
         assert self.simulator is not None, "expected a domain with a simulator"
         return self.simulator
-
-
-def available_cores() -> int:
-    """Cores that the scheduler grants this process, which containers and batch queues restrict."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

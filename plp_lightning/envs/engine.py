@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 import mujoco
 import numpy as np
 
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_cores
 from plp_lightning.envs.native import STATE
 
 R = TypeVar("R")

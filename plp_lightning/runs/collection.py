@@ -19,8 +19,10 @@ from datamodules.store.reader import TrajectoryFile, stored_count
 from datamodules.store.recorder import Recorder
 from datamodules.streams import episode_seed
 from datamodules.types import Trajectory
-from plp_lightning.envs.base import Domain, available_cores
+from plp_lightning.envs.base import Domain
+from plp_lightning.envs.cores import available_cores, available_processes
 from plp_lightning.envs.demonstrator import Demonstrator
+from plp_lightning.envs.pool import PooledSimulator
 from plp_lightning.envs.rollout import rollout
 from plp_lightning.runs.plans import CollectionConfig
 from plp_lightning.runs.progress import JobProgress
@@ -143,9 +145,10 @@ class ExpertCollector:
 
     def _collect(self, jobs: list[Job]) -> Iterator[list[Trajectory]]:
         """Demonstrations as they are made; an empty list now and then, while none come."""
-        cores = available_cores()
-        total, processes = sum(job.count for job in jobs), min(self.collection.processes or cores, len(jobs))
-        work = partial(_work, self.domains, max(1, cores // processes), self.collection)
+        cores, total = available_cores(), sum(job.count for job in jobs)
+        processes = min(self.collection.processes or available_processes(), len(jobs))
+        shares = max(1, cores // processes), max(1, available_processes() // processes)
+        work = partial(_work, self.domains, shares, self.collection)
         with (
             JobProgress("collecting", total, "demonstrations") as progress,
             Workers[Job, list[Trajectory]](processes, work) as workers,
@@ -180,18 +183,18 @@ def _bytes(made: Trajectory) -> int:
 
 
 def _work(
-    domains: Mapping[str, Domain], threads: int, collection: CollectionConfig, job: Job
+    domains: Mapping[str, Domain], shares: tuple[int, int], collection: CollectionConfig, job: Job
 ) -> Iterator[list[Trajectory]]:
     if _domains is not domains:
-        _begin_process(domains, threads)
+        _begin_process(domains, *shares)
     return demonstrate(job, collection)
 
 
-def _begin_process(domains: Mapping[str, Domain], threads: int) -> None:
+def _begin_process(domains: Mapping[str, Domain], threads: int, processes: int = 1) -> None:
     """The processes share the cores; where tasks are fewer than cores, each gets several for its physics."""
     globals()["_domains"] = domains
     for domain in domains.values():
-        domain.world.threads = threads
+        domain.world.threads = processes if isinstance(domain.world, PooledSimulator) else threads
 
 
 def demonstrate(job: Job, collection: CollectionConfig) -> Iterator[list[Trajectory]]:

@@ -18,7 +18,7 @@ class CollectionConfig(Configured):
     """How demonstrations are made.
 
     Args:
-        processes: Processes that collect; 0 means one for each core.
+        processes: Processes that collect; 0 means one for each core, at most 16 or ``PLP_PROCESSES``.
         hold_steps: Control steps that are recorded after success, so that the end is held.
         noise: Standard deviation of noise on executed actions; the recorded action stays the expert's.
         random_start_steps: Control steps of one random action before the expert takes over, which are not recorded,

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from datamodules.errors import ConfigError
+from plp_lightning.envs.cores import PROCESSES, available_processes
 from plp_lightning.sweeps.gpu_memory import GpuMemory
 from plp_lightning.sweeps.manifest import Job, unmet
 from plp_lightning.sweeps.memory import free_bytes, peak_bytes
@@ -45,7 +46,7 @@ class LocalEngine(Engine):
         self.jobs, self.retries = {job.name: job for job in jobs}, retries
         self.free, self.running = list(places), list[tuple[JobProcess, Mapping[str, str]]]()
         self.at_a_time, self.attempts = len(places), Counter[str]()
-        self.largest = 0  # Bytes that the largest process so far has taken
+        self.largest = 0  # Bytes that the largest run so far has taken, with its own processes
         self.gpu_memory = GpuMemory()
 
     @property
@@ -86,15 +87,25 @@ class LocalEngine(Engine):
             self.progress.set(name, state, f"exit code {code}, {last_words(process.log)}; its log: {process.log}")
 
     def _begin_what_may(self) -> None:
-        phases: dict[str, list[str]] = {}  # as they are now
-        for job in self.waiting:
+        if not self.waiting or self._place() is None:
+            return
+        ready = self._ready()
+        side_by_side = max(1, min(self.at_a_time, len(self.running) + len(ready)))
+        for job in ready:
             if (place := self._place()) is None:
                 break
+            self._begin(job, {PROCESSES: str(max(1, available_processes() // side_by_side))}, place)
+
+    def _ready(self) -> list[Job]:
+        """Waiting jobs that lack nothing; those that wait for a lost one are told as blocked."""
+        ready, phases = [], dict[str, list[str]]()  # Phases as they are now
+        for job in self.waiting:
             lacking = unmet(job, self.jobs, self.progress.states, phases)
             if not lacking:
-                self._begin(job, place)
+                ready.append(job)
             elif lost := [name for name in lacking if self.progress.states[name] in ("failed", "blocked")]:
                 self.progress.set(job.name, "blocked", f"{lost[0]} is not done")
+        return ready
 
     def _place(self) -> Mapping[str, str] | None:
         """A place that is free, with memory for one more run beside those that are there; None if there is none."""
@@ -106,9 +117,9 @@ class LocalEngine(Engine):
         there = [process.process.pid for process, place in self.running if place.get(VISIBLE) == gpu]
         return not there or self.gpu_memory.has_room(gpu.strip(), there)
 
-    def _begin(self, job: Job, place: Mapping[str, str]) -> None:
+    def _begin(self, job: Job, share: Mapping[str, str], place: Mapping[str, str]) -> None:
         self.free.remove(place)
-        self.running.append((JobProcess(job, place), place))
+        self.running.append((JobProcess(job, {**share, **place}), place))
         self.progress.set(job.name, "running")
 
 

@@ -22,7 +22,15 @@ def free_bytes() -> float:
 
 
 def peak_bytes(process: int) -> int:
-    """Most bytes that a process has had in memory for itself alone, without pages of files; 0 if it has ended."""
+    """Most bytes that a process and those it began each had for themselves, without pages of files; 0 of what ended."""
+    threads = []
+    with contextlib.suppress(OSError):  # it may end meanwhile
+        threads = [*Path(f"/proc/{process}/task").iterdir()]
+    children = [int(child) for thread in threads for child in _text(thread / "children").split()]
+    return _own_peak(process) + sum(map(peak_bytes, children))
+
+
+def _own_peak(process: int) -> int:
     told = dict(re.findall(r"^(\w+):\s+(\d+) kB", _text(Path(f"/proc/{process}/status")), re.MULTILINE))
     most, *shared = (int(told.get(name, 0)) for name in ("VmHWM", "RssFile", "RssShmem"))
     return max(0, most - sum(shared)) * 1024

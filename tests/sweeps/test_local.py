@@ -151,6 +151,18 @@ def test_each_place_has_its_own_environment_and_one_job_at_a_time(tmp_path: Path
 
 
 @pytest.mark.usefixtures("shell")
+def test_jobs_side_by_side_share_the_processes_that_step_environments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "available_processes", lambda: 9)
+    words = [f"echo $PLP_PROCESSES >>{tmp_path}/told; sleep 0.5"]
+    work(tmp_path, {f"job{i}": words for i in range(2)} | {"last": [*words, "job0", "job1"]}, count=8)
+    assert (tmp_path / "told").read_text().split() == ["4", "4", "9"]
+    work(tmp_path, {f"job{i}": words for i in range(12)}, count=12)
+    assert (tmp_path / "told").read_text().split()[3:] == ["1"] * 12
+
+
+@pytest.mark.usefixtures("shell")
 def test_no_further_run_is_started_without_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(local, "peak_bytes", lambda process: 1000)
     monkeypatch.setattr(local, "free_bytes", lambda: 999)
@@ -161,6 +173,16 @@ def test_no_further_run_is_started_without_memory(tmp_path: Path, monkeypatch: p
 def test_memory_is_measured() -> None:
     assert 0 < peak_bytes(os.getpid()) < free_bytes() * 100
     assert peak_bytes(2**30) == 0
+
+
+def test_what_a_run_s_own_processes_take_is_its_memory() -> None:
+    inner = "own = bytearray(2**26); print('there', flush=True); input()"
+    outer = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {inner!r}])"
+    with subprocess.Popen([sys.executable, "-c", outer], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"there\n"
+        assert peak_bytes(process.pid) > 2**26
+        process.communicate(b"\n")
 
 
 def test_pages_that_runs_share_are_nobody_s_memory(tmp_path: Path) -> None:

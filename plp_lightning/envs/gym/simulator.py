@@ -11,7 +11,7 @@ import numpy as np
 from datamodules.errors import ConfigError
 from datamodules.settings import NonNegativeInt, PositiveFloat, PositiveInt
 from datamodules.types import DomainSpec, ObservationKey
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_processes
 from plp_lightning.envs.gym.share import GymFactory
 from plp_lightning.envs.gym.spaces import ActionRange, find_leaves
 from plp_lightning.envs.gym.trial import try_out
@@ -49,7 +49,7 @@ class Gymnasium(PooledSimulator):
         keys: Keys of the observation that the policy sees, in order; all if not given.
         control_hz: Control steps in a second; the environment's ``dt`` or ``render_fps`` if not given.
         horizon: Control steps after which an unsolved episode counts as failed.
-        threads: Processes that step; 0 means one for each core.
+        threads: Processes that step; 0 means one for each core, at most 16 or ``PLP_PROCESSES``.
 
     Raises:
         ConfigError: If a task is set up by other words, or there is none.
@@ -85,7 +85,7 @@ class Gymnasium(PooledSimulator):
 
     @cached_property
     def _pool(self) -> Pool:
-        return Pool(self.factory, self.threads or available_cores())
+        return Pool(self.factory, self.threads or available_processes())
 
     @cached_property
     def _shown(self) -> Shown:

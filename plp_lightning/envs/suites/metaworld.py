@@ -49,7 +49,7 @@ class MetaWorld(Suite):
         regions: Parts into which the range of the first object's place is cut along x and along y.
         image_size: Height and width of the images, pixels.
         horizon: Control steps after which an unsolved episode counts as failed.
-        threads: Processes that step; 0 means one for each core.
+        threads: Processes that step; 0 means one for each core, at most 16 or ``PLP_PROCESSES``.
 
     Raises:
         ConfigError: If there is no such task or part of its range, no such key, no such camera, or no such image.

@@ -44,7 +44,7 @@ class Robosuite(Suite):
         make: Further arguments of the library's environments, such as ``{table_friction: [1.0, 0.005, 0.0001]}``.
         image_size: Height and width of the images, pixels.
         horizon: Control steps after which an unsolved episode counts as failed.
-        threads: Processes that step; 0 means one for each core.
+        threads: Processes that step; 0 means one for each core, at most 16 or ``PLP_PROCESSES``.
 
     Raises:
         ConfigError: If robosuite knows no such name, or makes nothing of these settings.

@@ -11,7 +11,7 @@ import numpy as np
 
 from datamodules.errors import ConfigError
 from datamodules.types import ObservationKey
-from plp_lightning.envs.base import available_cores
+from plp_lightning.envs.cores import available_processes
 from plp_lightning.envs.pool import Pool, PooledSimulator
 from plp_lightning.envs.suites.variant import Variant, choose
 from plp_lightning.envs.tasks import Tasks
@@ -33,7 +33,7 @@ class Suite(PooledSimulator):
     @cached_property
     def _pool(self) -> Pool:
         self.spec("")  # tells what is wrong with names in one line, before processes are started
-        return Pool(self._factory(), self.threads or available_cores())
+        return Pool(self._factory(), self.threads or available_processes())
 
     def _remember(
         self, family: str, tasks: Sequence[str], cameras: Sequence[str], image_size: int, regions: int
