@@ -64,7 +64,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"plp_lightning.steps", "plp_lightning.placement", "plp_lightning.parent"},
     "plp_lightning.sweeps": {
         *("datamodules.errors", "datamodules.settings", "datamodules.words", "datamodules.store.atomic"),
-        *("plp_lightning.runs.directory", "plp_lightning.parent"),
+        *("plp_lightning.runs.directory", "plp_lightning.parent", "plp_lightning.envs.cores"),
     },
     "plp_lightning.cli.main": {
         "datamodules.errors",

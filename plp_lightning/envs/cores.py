@@ -6,7 +6,6 @@ import os
 import re
 
 from datamodules.errors import ConfigError
-from datamodules.words import visible
 
 PROCESSES, MOST = "PLP_PROCESSES", 16  # Variable of the environment, and what holds where it is not set
 
@@ -27,5 +26,5 @@ def available_processes() -> int:
     """
     told = os.environ.get(PROCESSES, str(MOST))
     if not re.fullmatch(r"0*[1-9]\d{0,8}", told, re.ASCII):
-        raise ConfigError(f"{PROCESSES} is {visible(told)!r}; expected a number of processes, from 1 on; unset it")
+        raise ConfigError(f"{PROCESSES} is {told!r}; expected a number of processes, from 1 on; unset it")
     return min(int(told), available_cores())

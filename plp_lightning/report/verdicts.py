@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 from plp_lightning.evaluation.statistics import success_interval
-from plp_lightning.evaluation.verdict import CHECKS
 from plp_lightning.report.document import Cell, Section, Table, row
 from plp_lightning.report.records import Record
 from plp_lightning.report.summaries import Group
@@ -14,7 +13,6 @@ from plp_lightning.report.words import interval, number
 
 GOOD = 0.8  # Success of a transfer; verdicts ask as much of what is cloned and learnt
 ALIGNED, NOTHING, SHORT = "aligned", "nothing falls short, no latent space", "falls short"
-ORDER = (ALIGNED, NOTHING, SHORT, *(f"{SHORT}: {check.fact}" for check in CHECKS))
 
 
 def verdicts(groups: Sequence[Group]) -> list[Section]:
@@ -24,7 +22,7 @@ def verdicts(groups: Sequence[Group]) -> list[Section]:
         if run.success is not None:
             for told in _verdicts(run):
                 became[told].append(run.success >= GOOD)
-    rows = [_row(told, became[told]) for told in dict.fromkeys([*ORDER, *sorted(became)]) if told in became]
+    rows = [_row(told, became[told]) for told in dict.fromkeys([ALIGNED, NOTHING, *sorted(became)]) if told in became]
     text = (
         "Runs by their verdict, which knows nothing of the target task in the target domain, and the share of them "
         f"whose success there came to {GOOD}. Wilson's 95 % interval takes runs for independent; those of one method "
