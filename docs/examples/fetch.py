@@ -63,7 +63,7 @@ class FetchExpert(Expert):
 
     def begin(self, simulator: Simulator, tasks: Sequence[str], seeds: Sequence[int]) -> None:
         assert isinstance(simulator, Gymnasium)
-        known = {"turns": 0, "unit": 1.0, **simulator.recipe.make}
+        known = {"turns": 0, "unit": 1.0, **simulator.factory.make}
         self.unit, self.goals = known["unit"], turned(np.array([PLACES[t] - MIDDLE for t in tasks]), known["turns"])
 
     def act(self, observation: Observation[np.ndarray], episodes: np.ndarray) -> np.ndarray:

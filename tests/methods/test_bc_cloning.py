@@ -95,7 +95,7 @@ def test_a_saturated_action_still_has_a_gradient() -> None:
     torch.testing.assert_close(policy.net.net[-1].bias.grad[:2], torch.tensor([0.1, 0.1]))
 
 
-def test_the_policy_is_rebuilt_from_problem_and_recipe() -> None:
+def test_the_policy_is_rebuilt_from_problem_and_blueprint() -> None:
     policy = build()
     plain = json.loads(json.dumps(settings.blueprint(policy, ["problem"])))
     other = settings.build(plain, BCPolicy, ["plp_lightning"], policy.problem)
