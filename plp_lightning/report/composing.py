@@ -39,7 +39,7 @@ def table_sections(records: Sequence[Record], rows: Sequence[Row], compared: Ref
         *interquartile_means(groups),
         *differences(groups),
         *side_by_side(groups, compared),
-        *verdicts(groups),
+        *verdicts(records),
         *measured(groups, "alignment", "Alignment", scores),
         *measured(groups, "behaviour", "Behaviour", behaviour),
         *measured(groups, "held_out", "Held-out actions", errors, digits=4),

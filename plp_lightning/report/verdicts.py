@@ -1,4 +1,4 @@
-"""What verdicts foretold, beside what became of their runs."""
+"""Verdicts of runs, beside the success that these came to."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from collections.abc import Iterator, Sequence
 from plp_lightning.evaluation.statistics import success_interval
 from plp_lightning.report.document import Cell, Section, Table, row
 from plp_lightning.report.records import Record
-from plp_lightning.report.summaries import Group
 from plp_lightning.report.words import interval, number
 
 GOOD = 0.8  # Success of a transfer; verdicts ask as much of what is cloned and learnt
 ALIGNED, NOTHING, SHORT = "aligned", "nothing falls short, no latent space", "falls short"
 
 
-def verdicts(groups: Sequence[Group]) -> list[Section]:
+def verdicts(records: Sequence[Record]) -> list[Section]:
     """Runs by their verdict, and the share of them that solves the target task; none if no run has a verdict."""
     became: dict[str, list[bool]] = defaultdict(list)
-    for run in (run for group in groups for run in group.records):
+    for run in records:
         if run.success is not None:
             for told in _verdicts(run):
                 became[told].append(run.success >= GOOD)
@@ -33,7 +32,7 @@ def verdicts(groups: Sequence[Group]) -> list[Section]:
 
 
 def _verdicts(run: Record) -> Iterator[str]:
-    """What was said of a run, and what falls short, without domains; nothing of one without facts."""
+    """A run's verdict, and the facts that fall short, without domains; nothing of a run without facts."""
     if run.facts and run.falls_short:
         yield SHORT
         yield from {f"{SHORT}: {fact.split('/')[0]}" for fact in run.falls_short}

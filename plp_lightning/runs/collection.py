@@ -60,7 +60,7 @@ class ExpertCollector:
 
     Args:
         domains: Simulators and experts by domain.
-        collection: How demonstrations are made.
+        collection: Settings by which demonstrations are made.
     """
 
     def __init__(self, domains: Mapping[str, Domain], collection: CollectionConfig) -> None:

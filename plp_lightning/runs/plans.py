@@ -15,7 +15,7 @@ D = TypeVar("D")
 
 @dataclass(frozen=True)
 class CollectionConfig(Configured):
-    """How demonstrations are made.
+    """Settings by which demonstrations are made.
 
     Args:
         processes: Processes that collect; 0 means one for each core, at most 16 or ``PLP_PROCESSES``.

@@ -91,10 +91,11 @@ class LocalEngine(Engine):
             return
         ready = self._ready()
         side_by_side = max(1, min(self.at_a_time, len(self.running) + len(ready)))
+        share = {PROCESSES: str(max(1, available_processes() // side_by_side))}
         for job in ready:
             if (place := self._place()) is None:
                 break
-            self._begin(job, {PROCESSES: str(max(1, available_processes() // side_by_side))}, place)
+            self._begin(job, share, place)
 
     def _ready(self) -> list[Job]:
         """Waiting jobs that lack nothing; those that wait for a lost one are told as blocked."""

@@ -23,11 +23,9 @@ def free_bytes() -> float:
 
 def peak_bytes(process: int) -> int:
     """Most bytes that a process and those it began each had for themselves, without pages of files; 0 of what ended."""
-    threads = []
-    with contextlib.suppress(OSError):  # it may end meanwhile
-        threads = [*Path(f"/proc/{process}/task").iterdir()]
-    children = [int(child) for thread in threads for child in _text(thread / "children").split()]
-    return _own_peak(process) + sum(map(peak_bytes, children))
+    # Runs begin processes in their first thread; to ask dozens of threads at every look would keep a sweep busy.
+    children = _text(Path(f"/proc/{process}/task/{process}/children")).split()
+    return _own_peak(process) + sum(peak_bytes(int(child)) for child in children)
 
 
 def _own_peak(process: int) -> int:

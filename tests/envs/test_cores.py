@@ -1,4 +1,4 @@
-"""How many processes may step environments side by side."""
+"""Processes that may step environments side by side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What verdicts foretold, in a report."""
+"""A report's table of verdicts."""
 
 from __future__ import annotations
 
