@@ -19,13 +19,14 @@ class Demonstrator(Observer):
     Args:
         domain: Who acts, and where.
         noise: Standard deviation of noise on the executed action.
+        noise_steps: Control steps for which a draw of that noise lasts.
         random_start_steps: Control steps before the expert takes over, in which each episode repeats a random action.
     """
 
-    def __init__(self, domain: Domain, noise: float, random_start_steps: int = 0) -> None:
+    def __init__(self, domain: Domain, noise: float, noise_steps: int = 1, random_start_steps: int = 0) -> None:
         assert domain.expert is not None
         self.simulator, self.expert = domain.world, domain.expert
-        self.noise, self.random_start_steps = noise, random_start_steps
+        self.noise, self.noise_steps, self.random_start_steps = noise, noise_steps, random_start_steps
 
     def begin(self, tasks: Sequence[str], seeds: Sequence[int], observation: Observation[np.ndarray]) -> None:
         """Forget everything but how the episodes begin; seeds are also those of noise and random actions."""
@@ -34,6 +35,7 @@ class Demonstrator(Observer):
         drifts = [episode_generator(seed, EpisodeStream.RANDOM_START).uniform(-1, 1, size) for seed in seeds]
         self.seeds, self.drifts = seeds, np.array(drifts, dtype=np.float32)
         self.generators = [episode_generator(seed, EpisodeStream.ACTION_NOISE) for seed in seeds]
+        self.shakes = np.zeros((len(seeds), size), dtype=np.float32)
         self.drifting = self.random_start_steps
         self.seen = [(np.arange(len(tasks)), observation)]
         self.wanted: list[tuple[np.ndarray, np.ndarray]] = []
@@ -44,12 +46,11 @@ class Demonstrator(Observer):
             drifting: np.ndarray = self.drifts[episodes]
             return drifting
         actions = np.clip(self.expert.act(observation, episodes), -1, 1).astype(np.float32)
+        if self.noise > 0 and len(self.wanted) % self.noise_steps == 0:
+            draws = [self.generators[e].normal(0, self.noise, actions.shape[1]) for e in episodes]
+            self.shakes[episodes] = np.array(draws, dtype=np.float32)
         self.wanted.append((episodes, actions))
-        if self.noise == 0:
-            return actions
-        shaken = [self.generators[e].normal(0, self.noise, actions.shape[1]) for e in episodes]
-        noisy: np.ndarray = np.clip(actions + np.array(shaken, dtype=np.float32), -1, 1)
-        return noisy
+        return actions if self.noise == 0 else np.clip(actions + self.shakes[episodes], -1, 1)
 
     def step(self, actions: np.ndarray, step: Step, episodes: np.ndarray) -> None:
         """Write down what the episodes show now; while they drift, only that."""

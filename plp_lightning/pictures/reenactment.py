@@ -42,11 +42,13 @@ class Reenactment:
     Args:
         simulators: By domain.
         noise: Standard deviation of the noise on executed actions with which demonstrations were collected.
+        noise_steps: Control steps for which a draw of that noise lasted.
         random_start_steps: Control steps before an expert took over.
     """
 
     simulators: Mapping[str, Simulator]
     noise: float = 0.0
+    noise_steps: int = 1
     random_start_steps: int = 0
 
     def images(self, data: TransferDataModule, domain: str, rows: np.ndarray) -> list[np.ndarray]:
@@ -71,7 +73,8 @@ class Reenactment:
         tasks, seeds = [data.tasks[i] for i in dataset.episode_task[episodes]], dataset.episode_seed[episodes].tolist()
         check_filmable(simulator, domain, tasks[0], seeds[0], SIZE)
         actions = [dataset.action[a:b].cpu().numpy() for a, b in zip(starts, rows, strict=True)]
-        demonstrator = Demonstrator(Domain(simulator, Recorded(actions)), self.noise, self.random_start_steps)
+        acting = Domain(simulator, Recorded(actions))
+        demonstrator = Demonstrator(acting, self.noise, self.noise_steps, self.random_start_steps)
         pictures: dict[int, np.ndarray] = {}
         for i, observation in self._run(simulator, demonstrator, tasks, seeds, rows - starts):
             _check_same(simulator, observation.state[0], dataset, rows[i])

@@ -224,7 +224,7 @@ def demonstrate(job: Job, collection: CollectionConfig) -> Iterator[list[Traject
 def _attempt(job: Job, seeds: list[int], collection: CollectionConfig) -> list[Trajectory]:
     domain = _domains[job.domain]
     tasks = [job.task] * len(seeds)
-    demonstrator = Demonstrator(domain, collection.noise, collection.random_start_steps)
+    demonstrator = Demonstrator(domain, collection.noise, collection.noise_steps, collection.random_start_steps)
     episodes = rollout(domain.world, demonstrator.act, tasks, seeds, collection.hold_steps, [demonstrator])
     solved = np.flatnonzero(episodes.success & (episodes.steps > collection.random_start_steps))
     return [_trajectory(job, demonstrator, int(i)) for i in solved]

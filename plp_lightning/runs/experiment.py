@@ -79,7 +79,7 @@ class Experiment:
         """Draws what demonstrations show, as they were collected."""
         collector = self.data.collector
         collection = collector.collection if isinstance(collector, ExpertCollector) else CollectionConfig()
-        return Reenactment(self.simulators, collection.noise, collection.random_start_steps)
+        return Reenactment(self.simulators, collection.noise, collection.noise_steps, collection.random_start_steps)
 
     @property
     def eval_settings(self) -> dict[str, EvalSetting]:

@@ -21,6 +21,8 @@ class CollectionConfig(Configured):
         processes: Processes that collect; 0 means one for each core, at most 16 or ``PLP_PROCESSES``.
         hold_steps: Control steps that are recorded after success, so that the end is held.
         noise: Standard deviation of noise on executed actions; the recorded action stays the expert's.
+        noise_steps: Control steps for which a draw of the noise lasts. Where a force moves a mass, noise that is drawn
+            anew at every step averages out; what lasts leads away from the path.
         random_start_steps: Control steps of one random action before the expert takes over, which are not recorded,
             so that demonstrations begin in many places.
         seed: Seed of all initial states. It is no part of a run's seed: runs share their data.
@@ -30,6 +32,7 @@ class CollectionConfig(Configured):
     processes: NonNegativeInt = 0
     hold_steps: NonNegativeInt = 5
     noise: NonNegativeFloat = 0.0
+    noise_steps: PositiveInt = 1
     random_start_steps: NonNegativeInt = 0
     seed: NonNegativeInt = 0
     attempts: PositiveInt = 3
@@ -44,7 +47,7 @@ class CollectionConfig(Configured):
         return {name: (found, own) for name, (found, own) in pairs.items() if found != own}
 
 
-DECISIVE = ("hold_steps", "noise", "random_start_steps", "seed")
+DECISIVE = ("hold_steps", "noise", "noise_steps", "random_start_steps", "seed")
 """Settings that decide what demonstrations hold."""
 RENAMED = {"linger": "hold_steps", "wander": "random_start_steps"}  # Settings that are called otherwise in older files
 

@@ -64,15 +64,17 @@ def collected(path: Path, settings: CollectionConfig) -> TransferDataModule:
     return data
 
 
-def drawn(data: TransferDataModule, simulator: Simulator, noise: float = 0, start: int = 0) -> list[np.ndarray]:
-    return Reenactment({"flat": simulator}, noise, start).images(data, "flat", ROWS)
+def drawn(
+    data: TransferDataModule, simulator: Simulator, noise: float = 0, lasts: int = 1, start: int = 0
+) -> list[np.ndarray]:
+    return Reenactment({"flat": simulator}, noise, lasts, start).images(data, "flat", ROWS)
 
 
-@pytest.mark.parametrize(("noise", "start"), [(0.0, 0), (0.3, 0), (0.0, 4), (0.3, 4)])
-def test_pictures_are_those_of_the_states_in_their_order(noise: float, start: int, tmp_path: Path) -> None:
-    data = collected(tmp_path / "a.hdf5", CollectionConfig(noise=noise, random_start_steps=start))
+@pytest.mark.parametrize(("noise", "lasts", "start"), [(0.0, 1, 0), (0.3, 1, 0), (0.3, 3, 0), (0.0, 1, 4), (0.3, 2, 4)])
+def test_pictures_are_those_of_the_states_in_their_order(noise: float, lasts: int, start: int, tmp_path: Path) -> None:
+    data = collected(tmp_path / "a.hdf5", CollectionConfig(noise=noise, noise_steps=lasts, random_start_steps=start))
     simulator = Watched(1, state_size=3)
-    pictures = drawn(data, simulator, noise, start)
+    pictures = drawn(data, simulator, noise, lasts, start)
     places = np.array([np.frombuffer(picture[0, :, 0].tobytes(), ">f8") for picture in pictures])
     states = data.datasets["flat"].observation.state[ROWS].numpy()
     np.testing.assert_array_equal((places @ simulator.lift.T + simulator.shift).astype(np.float32), states)
@@ -86,9 +88,9 @@ def test_what_pictures_took_is_given_back(kind: type[LinearPoint], tmp_path: Pat
     assert "_studio" not in vars(simulator)
 
 
-@pytest.mark.parametrize("wrong", [(0.0, 4), (0.3, 0), (0.0, 0)])
+@pytest.mark.parametrize("wrong", [(0.0, 1, 4), (0.3, 2, 4), (0.3, 1, 0), (0.0, 1, 0)])
 def test_demonstrations_that_lead_elsewhere_are_not_drawn(
-    wrong: tuple[float, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    wrong: tuple[float, int, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = collected(tmp_path / "a.hdf5", CollectionConfig(noise=0.3, random_start_steps=4))
     assert drawn(data, LinearPoint(1, state_size=3), *wrong) == []

@@ -161,7 +161,9 @@ def test_a_domain_without_expert_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "value"), [("hold_steps", 6), ("noise", 0.3), ("random_start_steps", 2), ("seed", 1)], ids=str
+    ("setting", "value"),
+    [("hold_steps", 6), ("noise", 0.3), ("noise_steps", 4), ("random_start_steps", 2), ("seed", 1)],
+    ids=str,
 )
 def test_demonstrations_of_another_recipe_are_refused(tmp_path: Path, setting: str, value: float) -> None:
     path = tmp_path / "a.hdf5"
@@ -213,6 +215,23 @@ def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
     assert executed.shape == shaken.actions.shape
     assert (np.abs(executed - shaken.actions) > 1e-4).mean() > 0.8
     assert np.abs(executed).max() <= 1
+
+
+def test_noise_lasts_as_long_as_it_is_told_to() -> None:
+    simulator, expert = Recording(1, 3), LinearPointExpert()
+    settings = CollectionConfig(noise=0.1, noise_steps=3, hold_steps=0)
+    shaken = max(made(expert, job(6), settings), key=len)
+    assert len(shaken) > 6
+    collection._begin_process({"flat": Domain(simulator, expert)}, 1)
+    simulator.executed = []
+    again = collection._attempt(job(1), [shaken.seed], settings)[0]
+    shakes = np.stack(simulator.executed) - again.actions
+    free = np.abs(np.stack(simulator.executed)) < 1  # where nothing was clipped
+    for t in range(1, len(shakes)):
+        both = free[t] & free[t - 1]
+        assert both.any()
+        assert np.allclose(shakes[t][both], shakes[t - 1][both], atol=1e-6) == (t % 3 != 0)
+    np.testing.assert_array_equal(again.actions, shaken.actions)  # whoever else is shaken beside it
 
 
 def test_experts_take_over_where_they_were_driven_to() -> None:
@@ -276,7 +295,7 @@ def test_the_last_image_is_kept_with_the_last_state() -> None:
 def test_demonstrators_keep_what_is_seen_after_the_last_action(random_start_steps: int) -> None:
     domain = Domain(LinearPoint(1, 3), LinearPointExpert())
     tasks, seeds = ["goal_1", "goal_4", "goal_6"], [5, 6, 7]
-    demonstrator = Demonstrator(domain, 0.0, random_start_steps)
+    demonstrator = Demonstrator(domain, 0.0, random_start_steps=random_start_steps)
     outcome = rollout(domain.simulator, demonstrator.act, tasks, seeds, observers=[demonstrator])
     for index, (task, seed) in enumerate(zip(tasks, seeds, strict=True)):
         observation, actions = demonstrator.episode(index)
