@@ -1,18 +1,23 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tiny
 import torch
 from lightning.pytorch import Trainer
 from torch import Tensor
 
+from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.losses import behavioural_cloning
-from plp_lightning.methods import Adaptation
+from plp_lightning.methods import Adaptation, PortablePolicy
+from plp_lightning.methods.plp.adaptation import KNOWN
+from plp_lightning.methods.plp.losses import support_distance
 
 
 class Watched(Adaptation):
@@ -79,3 +84,72 @@ def test_the_common_policy_learns_through_the_frozen_decoder(adapted: tuple[Watc
     assert all(not parameter.requires_grad for parameter in phase.policy.decoder.parameters())
     assert all(parameter.requires_grad for parameter in phase.policy.common.parameters())
     assert not phase.policy.encoder.training
+
+
+def supported(data: TransferDataModule, weight: float) -> Adaptation:
+    torch.manual_seed(1)
+    return Adaptation(tiny.policy(data), optimizer=tiny.adamw(3e-3, 0.0), lr_scheduler=None, support_weight=weight)
+
+
+def away(phase: Adaptation, data: TransferDataModule, known: Tensor) -> float:
+    """Distance of the target task's latent actions in the source domain from known ones."""
+    own = of_aligned(phase.policy, data, data.source_domain, data.target_tasks)
+    return support_distance({data.source_domain: own}, known).item()
+
+
+def test_known_are_the_latent_actions_of_proxy_tasks_before_adaptation(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = supported(data, 1.0)
+    aligned = copy.deepcopy(phase.policy)
+    make_trainer(FreezeGuard(), epochs=2).fit(phase, datamodule=data)
+    assert phase.known.shape == (KNOWN, phase.policy.latent_size)
+    for domain, half in zip(data.domains, phase.known.split(KNOWN // 2), strict=True):
+        known_to, unknown_to = (of_aligned(aligned, data, domain, t) for t in (data.proxy_tasks, data.target_tasks))
+        assert nearest(half, known_to).max() < 1e-6
+        assert len(unknown_to) == 0 or nearest(half, unknown_to).min() > 1e-6
+
+
+def nearest(own: Tensor, others: Tensor) -> Tensor:
+    """Distance of each row to the nearest of others, without the rounding of a matrix product."""
+    return torch.cdist(own, others, compute_mode="donot_use_mm_for_euclid_dist").min(dim=1).values
+
+
+def of_aligned(policy: PortablePolicy, data: TransferDataModule, domain: str, tasks: Sequence[str]) -> Tensor:
+    """Latent actions of all training steps of tasks."""
+    rows = torch.from_numpy(data.rows(tasks, "train").get(domain, np.arange(0)))
+    dataset = data.datasets[domain]
+    with torch.no_grad():
+        latent = policy.encode({domain: dataset.observation.take(rows)})
+        return policy.latent_action(latent, {domain: dataset.task[rows]})[domain]
+
+
+def test_support_keeps_latent_actions_near_those_of_proxy_tasks(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer]
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phases = {weight: supported(data, weight) for weight in (0.0, 1.0)}
+    for phase in phases.values():
+        make_trainer(epochs=8).fit(phase, datamodule=data)
+    known = phases[1.0].known
+    far, near = (away(phase, data, known) for phase in phases.values())
+    assert near < 0.5 * far
+
+
+def test_adaptation_that_goes_on_knows_what_it_knew(
+    trajectory_file: Path, make_trainer: Callable[..., Trainer], tmp_path: Path
+) -> None:
+    data = tiny.data_module(trajectory_file)
+    phase = supported(data, 1.0)
+    trainer = make_trainer(epochs=2)
+    trainer.fit(phase, datamodule=data)
+    trainer.save_checkpoint(tmp_path / "two.ckpt")
+    later = supported(data, 1.0)
+    later.policy.load_state_dict(phase.policy.state_dict())
+    make_trainer(epochs=3).fit(later, datamodule=data, ckpt_path=tmp_path / "two.ckpt", weights_only=True)
+    assert torch.equal(later.known, phase.known)
+
+
+def test_without_support_nothing_is_kept(trajectory_file: Path) -> None:
+    assert "known" not in supported(tiny.data_module(trajectory_file), 0.0).state_dict()

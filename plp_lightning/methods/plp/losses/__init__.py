@@ -7,6 +7,7 @@ from plp_lightning.methods.plp.losses.adversarial import (
     standardise_jointly,
 )
 from plp_lightning.methods.plp.losses.mmd import mmd
+from plp_lightning.methods.plp.losses.support import support_distance
 from plp_lightning.methods.plp.losses.tcc import tcc
 
 __all__ = [
@@ -15,5 +16,6 @@ __all__ = [
     "domain_r1_penalty",
     "mmd",
     "standardise_jointly",
+    "support_distance",
     "tcc",
 ]
