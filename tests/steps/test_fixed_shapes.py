@@ -26,7 +26,7 @@ from datamodules.transfer import TransferDataModule
 from datamodules.types import Batch
 from plp_lightning.cli.config import parse
 from plp_lightning.methods.phase import Phase
-from plp_lightning.methods.plp import Adaptation, Alignment
+from plp_lightning.methods.plp import Adaptation, Alignment, PortablePolicy
 from plp_lightning.runs.experiment import Experiment
 from plp_lightning.steps.capture import _listening
 
@@ -107,13 +107,19 @@ def test_steps_need_nothing_of_the_host_and_keep_their_shapes(
         assert first == second, type(phase).__name__
 
 
-@pytest.mark.parametrize("kind", [Alignment, Adaptation])
+PHASES: dict[str, Callable[[PortablePolicy], Alignment | Adaptation]] = {
+    "alignment": lambda policy: Alignment(policy, tiny.terms("mmd", "tcc")),
+    "adaptation": Adaptation,
+    "adaptation_with_support": lambda policy: Adaptation(policy, support_weight=1.0),
+}
+
+
+@pytest.mark.parametrize("kind", PHASES)
 def test_steps_with_cameras_need_nothing_of_the_host(
-    kind: type[Alignment] | type[Adaptation], seen_file: Path, make_trainer: Callable[..., Trainer], no_autocast: None
+    kind: str, seen_file: Path, make_trainer: Callable[..., Trainer], no_autocast: None
 ) -> None:
     data, trainer = seen.data_module(seen_file), make_trainer(epochs=1)
-    policy = seen.policy(data, "all")
-    phase = Alignment(policy, tiny.terms("mmd", "tcc")) if kind is Alignment else Adaptation(policy)
+    phase = PHASES[kind](seen.policy(data, "all"))
     trainer.fit_loop.epoch_loop.max_steps = 1
     trainer.fit(phase, datamodule=data)
     moved(phase)
