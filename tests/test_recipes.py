@@ -30,12 +30,14 @@ def test_the_literal_recipe_leaves_nothing_of_a_page_that_the_paper_prints_other
     ]
     made = yaml.safe_load(parse([word for file in files for word in ("--config", str(file))]).config)
     alignment, collection, policy = made["alignment"]["init_args"], made["collection"], made["policy"]["init_args"]
+    adaptation = made["adaptation"]["init_args"]
     rate = alignment["optimizer"]["init_args"]["lr"]
     terms = {term: alignment["terms"][term]["init_args"] for term in ("mmd", "tcc")}
     assert (alignment["epochs"], rate, terms["tcc"]["weight"]) == PAPERS[recipe]
     assert (alignment["lr_scheduler"], alignment["bc_reduction"], terms["tcc"]["reduction"]) == (None, "sum", "sum")
     assert (terms["mmd"]["weight"], terms["mmd"]["bandwidths"]) == (0.1, [1.0])
-    assert (collection["noise"], collection["random_start_steps"]) == (0, 0)
+    assert (collection["noise"], collection["noise_steps"], collection["random_start_steps"]) == (0, 1, 0)
+    assert (adaptation["support_weight"], adaptation["lr_scheduler"]) == (0, None)
     assert (policy["encoder_state"], policy["gradient_floor"]) == ("all", 0)
     assert policy["decoder_state"] == ("all" if recipe == "literal_maze" else "none")
     assert (made["data"]["tasks_per_batch"], made["data"]["val_fraction"]) == (None, 0)
