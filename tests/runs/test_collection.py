@@ -16,8 +16,6 @@ from datamodules.store.writer import TrajectoryFile, write_trajectories
 from datamodules.streams import episode_seed
 from datamodules.types import Observation, Trajectory
 from plp_lightning.envs.base import Domain, Expert, Simulator, Step
-from plp_lightning.envs.demonstrator import Demonstrator
-from plp_lightning.envs.rollout import rollout
 from plp_lightning.envs.synthetic import LinearPoint, LinearPointExpert, SeenPoint
 from plp_lightning.runs import collection
 from plp_lightning.runs.collection import ExpertCollector, Job, demonstrate
@@ -217,23 +215,6 @@ def test_noise_shakes_what_is_executed_and_not_what_is_recorded() -> None:
     assert np.abs(executed).max() <= 1
 
 
-def test_noise_lasts_as_long_as_it_is_told_to() -> None:
-    simulator, expert = Recording(1, 3), LinearPointExpert()
-    settings = CollectionConfig(noise=0.1, noise_steps=3, hold_steps=0)
-    shaken = max(made(expert, job(6), settings), key=len)
-    assert len(shaken) > 6
-    collection._begin_process({"flat": Domain(simulator, expert)}, 1)
-    simulator.executed = []
-    again = collection._attempt(job(1), [shaken.seed], settings)[0]
-    shakes = np.stack(simulator.executed) - again.actions
-    free = np.abs(np.stack(simulator.executed)) < 1  # where nothing was clipped
-    for t in range(1, len(shakes)):
-        both = free[t] & free[t - 1]
-        assert both.any()
-        assert np.allclose(shakes[t][both], shakes[t - 1][both], atol=1e-6) == (t % 3 != 0)
-    np.testing.assert_array_equal(again.actions, shaken.actions)  # whoever else is shaken beside it
-
-
 def test_experts_take_over_where_they_were_driven_to() -> None:
     simulator, expert = Recording(1, 3), LinearPointExpert()
     still, driven = (made(expert, job(3), CollectionConfig(random_start_steps=n, hold_steps=0)) for n in (0, 4))
@@ -289,24 +270,6 @@ def test_the_last_image_is_kept_with_the_last_state() -> None:
         last = [simulator.step(action[None], np.array([0])).observation for action in trajectory.actions][-1]
         np.testing.assert_array_equal(trajectory.observation.state[-1], last.state[0])
         np.testing.assert_array_equal(trajectory.observation.images["camera"][-1], last.images["camera"][0])
-
-
-@pytest.mark.parametrize("random_start_steps", [0, 4])
-def test_demonstrators_keep_what_is_seen_after_the_last_action(random_start_steps: int) -> None:
-    domain = Domain(LinearPoint(1, 3), LinearPointExpert())
-    tasks, seeds = ["goal_1", "goal_4", "goal_6"], [5, 6, 7]
-    demonstrator = Demonstrator(domain, 0.0, random_start_steps=random_start_steps)
-    outcome = rollout(domain.simulator, demonstrator.act, tasks, seeds, observers=[demonstrator])
-    for index, (task, seed) in enumerate(zip(tasks, seeds, strict=True)):
-        observation, actions = demonstrator.episode(index)
-        assert len(observation.state) == len(actions) + 1 == outcome.steps[index] - random_start_steps + 1
-        state = domain.simulator.reset([task], [seed]).state
-        for drift in [demonstrator.drifts[index]] * random_start_steps:
-            state = domain.simulator.step(drift[None], np.array([0])).observation.state
-        for shown, action in zip(observation.state, actions, strict=False):
-            np.testing.assert_array_equal(shown, state[0])
-            state = domain.simulator.step(action[None], np.array([0])).observation.state
-        np.testing.assert_array_equal(observation.state[-1], state[0])
 
 
 @pytest.mark.parametrize("hold_steps", [0, 4])
