@@ -16,8 +16,8 @@ from datamodules.types import Batch
 from plp_lightning.callbacks.freezing import FreezeGuard
 from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods import Adaptation, PortablePolicy
-from plp_lightning.methods.plp.adaptation import KNOWN
 from plp_lightning.methods.plp.losses import support_distance
+from plp_lightning.methods.plp.support import KNOWN
 
 
 class Watched(Adaptation):

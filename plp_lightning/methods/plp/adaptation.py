@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-import torch
 from torch import Tensor, nn
 
 from datamodules.batches.dataset import DomainDataset
 from datamodules.settings import NonNegativeFloat, PositiveInt
-from datamodules.types import Batch, BatchSpec, Observation, Steps
-from plp_lightning.losses import behavioural_cloning
+from datamodules.types import BatchSpec, Observation
 from plp_lightning.methods.optimization import CosineDecay, FusedAdamW, OptimizerFactory, SchedulerFactory
-from plp_lightning.methods.phase import CachedStates, step_count, tasks_of, weights_of
-from plp_lightning.methods.plp.losses import support_distance
 from plp_lightning.methods.plp.policy import PortablePolicy
-
-KNOWN = 2048
-"""Latent actions of proxy tasks that stand for all of them."""
+from plp_lightning.methods.plp.support import SupportedCloning
 
 
-class Adaptation(CachedStates[PortablePolicy]):
+class Adaptation(SupportedCloning):
     """Behavioural cloning of the target task with encoder and decoder frozen (paper, Eq. 6, Algorithm 2).
 
     The encoder never changes here, so latent states are computed once; no image is read again, unless the decoder sees
@@ -37,9 +29,6 @@ class Adaptation(CachedStates[PortablePolicy]):
             to those that proxy tasks use, so that the target's decoder reads them as the source's does; 0 in the paper.
     """
 
-    known: Tensor
-    """Latent actions of the aligned policy in proxy tasks, ``(KNOWN, Z)``; NaN until the phase begins."""
-
     trains = PortablePolicy
 
     def __init__(
@@ -50,11 +39,8 @@ class Adaptation(CachedStates[PortablePolicy]):
         lr_scheduler: SchedulerFactory | None = CosineDecay,
         support_weight: NonNegativeFloat = 0.0,
     ) -> None:
-        super().__init__(policy, epochs, optimizer, lr_scheduler)
+        super().__init__(policy, epochs, optimizer, lr_scheduler, support_weight)
         self.batch_spec = BatchSpec("mix", images=policy.decoder_sees_images)
-        self.support_weight = support_weight
-        if support_weight > 0:
-            self.register_buffer("known", torch.full((KNOWN, policy.latent_size), torch.nan))
 
     @property
     def frozen(self) -> dict[str, nn.Module]:
@@ -70,44 +56,3 @@ class Adaptation(CachedStates[PortablePolicy]):
 
     def _rows_to_cache(self, dataset: DomainDataset) -> int:
         return len(dataset)
-
-    def on_fit_start(self) -> None:
-        super().on_fit_start()
-        if self.support_weight > 0 and self.known.isnan().any():  # a phase that goes on has them in its checkpoint
-            self.known.copy_(self._latent_actions_of_proxies())
-
-    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        if self.support_weight == 0:
-            return super().training_step(batch, batch_idx)
-        steps, weights = batch.steps, weights_of(batch.steps)
-        latent_action = self._latent_action(steps)
-        demonstrated = {domain: s.action for domain, s in steps.items()}
-        cloning = behavioural_cloning(self._decode(latent_action, steps), demonstrated, self.bc_reduction, weights)
-        away = support_distance(latent_action, self.known, weights)
-        loss = cloning + self.support_weight * away
-        self.log_parts({"bc": cloning, "support": away, "loss": loss}, step_count(steps))
-        return loss
-
-    def predict(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        return self._decode(self._latent_action(steps), steps)
-
-    def _latent_action(self, steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        latent = {domain: self.states[domain][s.row] for domain, s in steps.items()}
-        return self.policy.latent_action(latent, tasks_of(steps))
-
-    def _decode(self, latent_action: Mapping[str, Tensor], steps: Mapping[str, Steps]) -> dict[str, Tensor]:
-        return self.policy.decode(latent_action, {domain: s.observation for domain, s in steps.items()})
-
-    @torch.no_grad()
-    def _latent_actions_of_proxies(self) -> Tensor:
-        """Latent actions ``(KNOWN, Z)`` in proxy tasks, as many of each domain, evenly spread over its steps."""
-        data = self.trainer.datamodule  # type: ignore[attr-defined]
-        rows = data.rows(data.proxy_tasks, "train")
-        shares = [len(share) for share in np.array_split(np.arange(KNOWN), len(rows))]
-        found = []
-        for (domain, own), count in zip(rows.items(), shares, strict=True):
-            chosen = torch.from_numpy(own[np.linspace(0, len(own) - 1, count).astype(int)])
-            task = data.datasets[domain].task[chosen].to(self.device)
-            latent = self.states[domain][chosen.to(self.device)]
-            found.append(self.policy.latent_action({domain: latent}, {domain: task})[domain])
-        return torch.cat(found)
