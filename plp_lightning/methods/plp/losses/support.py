@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from plp_lightning.losses import behavioural_cloning
 from plp_lightning.methods.plp.losses.distance import full_precision
 
 
@@ -34,12 +35,9 @@ def support_distance(
         tensor(2.)
     """
     assert len(known) > 1, f"expected two or more known latent actions, got {len(known)}"
-    own = full_precision(torch.cat([*latent_action.values()]))
-    with torch.autocast(own.device.type, enabled=False):
+    own = {domain: full_precision(action) for domain, action in latent_action.items()}
+    with torch.autocast(known.device.type, enabled=False):
         centre = known.mean(0)  # distances don't feel a shift, but the rounding of their matrix product does
-        nearest = torch.cdist(own.detach() - centre, known - centre).argmin(1)
-        away = (own - known[nearest]).square().sum(1) / known.var(0).sum().clamp(min=torch.finfo(known.dtype).tiny)
-        if weight is None:
-            return away.mean()
-        counts = torch.cat([weight[domain] for domain in latent_action])
-        return (away * counts).sum() / counts.sum().clamp(min=1)
+        near = {d: torch.cdist(action.detach() - centre, known - centre).argmin(1) for d, action in own.items()}
+        squared = behavioural_cloning(own, {domain: known[rows] for domain, rows in near.items()}, "sum", weight)
+        return squared / known.var(0).sum().clamp(min=torch.finfo(known.dtype).tiny)
